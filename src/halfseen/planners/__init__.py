@@ -1,14 +1,14 @@
-"""A known model → policies: what learning is compared with.
+"""Planners: policies computed from a known model, the baselines of learning.
 
-Read down: `belief` (what can be known) → `heuristics` (rules of thumb, of one robot and of several) → `one_step` (the
-myopic look-ahead), `myopic` (with several robots) → `rollout` (what actions are worth if it decides ever after, those
-looked at most that promise most) → `pomdp` (looking h steps ahead, as a policy, or until the time is up),
-`explanation` (what each action is worth, and how sure that is), `control` (what a policy earns, with less luck). Of
-several robots: `futures` (rollouts, one robot at a time). `named_policy` makes those that go by a name.
+Reading order: `belief` (the posterior) → `heuristics` (rules of thumb, for one robot and for teams) → `one_step` (the
+myopic look-ahead), `myopic` (the same for teams) → `rollout` (Q of the look-ahead by rollouts, focused on the most
+promising actions) → `pomdp` (h-step look-ahead, as a policy or within a time limit), `explanation` (action values with
+their uncertainty), `control` (policy values with reduced variance). For teams: `futures` (rollouts, one robot at a
+time). `named_policy` makes a policy by its name.
 
-What they are measured by: `exact` (the best there is, on small tables), from `exact_labels`, `exact_table`,
-`exact_team`, `exact_graph` (what may become of a table), `exact_policies` (what a policy earns there); `relaxation`
-(what nobody can beat, on any). `discrete` stands apart: any POMDP given as arrays, solved exactly.
+References to compare with: `exact` (the exact optimum of small tables), from `exact_labels`, `exact_table`,
+`exact_team`, `exact_graph` (the state graph of a table) and `exact_policies` (exact policy values); `relaxation` (an
+upper bound for larger tables). `discrete` is separate: it solves any POMDP given as arrays exactly.
 """
 
 from types import MappingProxyType
@@ -69,28 +69,29 @@ HEURISTICS = MappingProxyType(
         "history-penalty": (True, True),
     }
 )
-"""Of each `GreedyPolicy`: whether it uses history, and whether it counts the penalty; of several robots, reserving."""
+"""For each `GreedyPolicy`: whether it uses history, and whether it counts the penalty; a team gets a
+`ReservingPolicy`."""
 UNIFORM, PLANNER = "uniform", "planner"
-"""`UniformPolicy`; and a `POMDPPolicy` to the end, of several robots a `RolloutPolicy` over a `MyopicPolicy`."""
+"""`UniformPolicy`; and a `POMDPPolicy` to the end, or for a team a `RolloutPolicy` over a `MyopicPolicy`."""
 
 
 def named_policy(
     name: str, config: "WorldConfig", random_share: float = 0.0, *, is_team: bool | None = None
 ) -> "Policy":
-    """Make the policy of a name.
+    """Make a policy by its name.
 
     Parameters
     ----------
     name
         One of `HEURISTICS`, `UNIFORM`, `PLANNER`.
     config
-        The world that it believes in.
+        Its model of the world.
     random_share
-        Probability that a step takes an action uniformly at random instead.
+        Probability of a uniformly random action at each step.
     is_team
-        Whether robots with a reach of their own work there; None where several do.
+        Whether the policy is for robots with individual reach; by default, whether there are several robots.
     """
-    # Names are asked for where no world is loaded yet, and each planner is loaded once it is named.
+    # Imported here, as names are needed before the world is loaded; each planner loads on first use.
     from halfseen import planners
     from halfseen.world import UniformPolicy
 
@@ -109,10 +110,7 @@ def named_policy(
 
 
 def exploring(policy: "Policy", random_share: float) -> "Policy":
-    """Let a policy take some actions uniformly at random.
-
-    A step does so with probability `random_share`; at 0 the policy is given back.
-    """
+    """Make a policy take a uniformly random action with probability `random_share` per step; at 0, return it as is."""
     from halfseen.world import ExploringPolicy
 
     return ExploringPolicy(policy, random_share) if random_share else policy

@@ -1,8 +1,8 @@
-"""What can be known of a table, and how it changes: the belief over attributes and grips.
+"""The belief over attributes and grips of a table, and its update.
 
-Given what is seen, objects are independent of one another, and an object's label history is independent of its grip.
-So the belief factors, and is held exactly: log-odds of DIRTY, and for each grip offset a posterior in one dimension by
-Gauss–Hermite quadrature. Particles are drawn from it where a future is sampled.
+Given the observations, objects are independent of one another, and an object's labels are independent of its grip. So
+the belief factors exactly into the log-odds of DIRTY and a one-dimensional posterior of each grip offset, by
+Gauss–Hermite quadrature. Sampled futures draw particles from it.
 """
 
 from dataclasses import replace
@@ -24,24 +24,24 @@ _LOG_PRIOR = np.log(_WEIGHTS / _WEIGHTS.sum()).astype(np.float32)
 
 
 class Grip(NamedTuple):
-    """What is believed of grip offsets, each its mean plus a hidden u."""
+    """Posterior of grip offsets, each its mean plus a hidden u."""
 
     mean: Float[Array, "*S"]
     log_weights: Float[Array, "*S G"]
-    """Log posterior weights of u on `offset_nodes`, not normalised."""
+    """Unnormalised log posterior weights of u on `offset_nodes`."""
 
 
 _KNOWN: set[type] = set()
-"""Laws of one robot whose probabilities are known: to look for every method of a protocol takes as long as a step."""
+"""Cache of law types with known probabilities: the protocol check is as slow as a step."""
 
 
 def known_grasping(config: WorldConfig) -> KnownGrasping:
-    """How attempts go, with its probabilities.
+    """Return the law of grasping, with its probabilities.
 
     Raises
     ------
     ArgumentError
-        The world's law can only be drawn from, or so can that of a robot.
+        The law of the world, or of a robot, can only be sampled from.
     """
     law: Any = config.grasping
     for each in law.laws if isinstance(law, GraspingByRobot) else (law,):
@@ -50,12 +50,12 @@ def known_grasping(config: WorldConfig) -> KnownGrasping:
 
 
 def known_seeing(config: WorldConfig) -> KnownSeeing:
-    """What looks tell, with its probabilities.
+    """Return the law of seeing, with its probabilities.
 
     Raises
     ------
     ArgumentError
-        The world's law can only be drawn from.
+        The world's law can only be sampled from.
     """
     law: Any = config.seeing
     _check_known("seeing", law, KnownSeeing, "AssumedSeeing")
@@ -72,14 +72,14 @@ def _check_known(name: str, law: object, protocol: Any, known: str) -> None:
 
 
 def offset_nodes(config: WorldConfig) -> Float[Array, "*R G"]:
-    """Values of u, what is hidden of a grip offset, at which posteriors are held; of each robot that tries, if many."""
+    """Quadrature nodes of u, the hidden part of a grip offset; per robot, if the law has an array of robots."""
     std = known_grasping(config).offset_std
     xp = library_of(std)
     return (xp.asarray(std)[..., None] * _NODES).astype(np.float32)
 
 
 def latent_at(config: WorldConfig, node: Int[Array, "*B N"]) -> Any:
-    """Hidden latent of the law of grasping with u of each object at one of `offset_nodes`, by number."""
+    """Latent variable of the law of grasping, with u of each object at one of `offset_nodes`, by index."""
     law = known_grasping(config)
     drawn = library_of(node).asarray(_NODES, dtype=np.float32)[node]
     if isinstance(law, GraspingByRobot):
@@ -88,12 +88,12 @@ def latent_at(config: WorldConfig, node: Int[Array, "*B N"]) -> Any:
 
 
 def offset_prior() -> tuple[Float[np.ndarray, " G"], Float[np.ndarray, " G"]]:
-    """Values of u on `offset_nodes`, for a standard deviation of 1, and the prior probability of each."""
+    """Quadrature nodes of u for a standard deviation of 1, with their prior probabilities."""
     return _NODES.copy(), _WEIGHTS / _WEIGHTS.sum()
 
 
 def prior_grip(mean: Float[Array, "*S"]) -> Grip:
-    """Grips before any attempt: u ~ N(0, std²)."""
+    """Grip before any attempt: u ~ N(0, std²)."""
     xp = library_of(mean)
     return Grip(mean, xp.broadcast_to(xp.asarray(_LOG_PRIOR), (*mean.shape, NUM_NODES)))
 
@@ -102,10 +102,10 @@ def grip_offsets(config: WorldConfig, mean: Float[Array, "*S"]) -> Float[Array, 
     """Grip offsets at each of `offset_nodes`."""
     nodes = offset_nodes(config)
     if nodes.ndim > 1:
-        # Nodes of many robots have their axes first.
+        # Nodes of many robots have the robots' axes first.
         between = (1,) * max(mean.ndim + 1 - nodes.ndim, 0)
         return mean[..., None] + nodes.reshape(nodes.shape[:-1] + between + nodes.shape[-1:])
-    # The nodes first, so that in memory their axis does not come between those of objects and tables.
+    # Nodes first, so that in memory their axis is not between those of objects and tables.
     return first_last(nodes.reshape(-1, *(1,) * mean.ndim) + mean)
 
 
@@ -117,14 +117,14 @@ def failure_log_probability(
 
 
 def grip_posterior(config: WorldConfig, state: TableState) -> Grip:
-    """Grip of each object, given all its attempts, each as likely as the law of who made it has it."""
+    """Posterior grip of each object given its attempts, each under the law of the robot that made it."""
     xp, prior = library_of(state.attempt_object), prior_grip(state.grip)
     if xp is np and (state.attempt_object < 0).all():
         return prior
     tried = xp.take_along_axis(state.grip, xp.maximum(state.attempt_object, 0), axis=-1)
     world = config if state.attempt_robot is None else config.as_robot(state.attempt_robot)
     failed = failure_log_probability(world, state.attempt_occlusion, tried)
-    # Where an attempt cannot succeed, it did not.
+    # The floor guards log(0) where success is impossible; no such attempt succeeded.
     held = xp.log(xp.maximum(-xp.expm1(failed), np.finfo(np.float32).tiny))
     evidence = xp.where(state.attempt_succeeded[..., None], held, failed)
     is_mine = state.attempt_object[..., None, :] == xp.arange(state.num_objects)[:, None]
@@ -132,14 +132,14 @@ def grip_posterior(config: WorldConfig, state: TableState) -> Grip:
 
 
 def grasp_probability(config: WorldConfig, occluded: Float[Array, "*S"], grip: Grip) -> Float[Array, "*S"]:
-    """P(an attempt succeeds), the grip offset integrated out."""
+    """P(an attempt succeeds), with the grip offset integrated out."""
     failed = failure_log_probability(config, occluded, grip.mean)
     xp = library_of(failed)
     return 1.0 - xp.sum(softmax(grip.log_weights) * xp.exp(failed), axis=-1)
 
 
 def expected_attempt_s(config: WorldConfig, occluded: Float[Array, "*S"], grip: Grip) -> Float[Array, "*S"]:
-    """Expected duration of an attempt with its transport [s], the grip offset integrated out."""
+    """Expected duration of an attempt with its transport [s], with the grip offset integrated out."""
     attempt_s = known_grasping(config).expected_s(occluded[..., None], grip_offsets(config, grip.mean))
     xp = library_of(attempt_s)
     return config.transport_s + xp.sum(softmax(grip.log_weights) * attempt_s, axis=-1)

@@ -1,12 +1,12 @@
-"""What a policy earns on tables, without the luck that a control variate can take out.
+"""The value of a policy by simulation, with its variance reduced by a control variate.
 
-With V° and Q° of `one_step` under the true laws, what a trajectory earns has the same mean as
+With V° and Q° of `one_step` under the true laws, the reward of a trajectory has the same mean as
 
     V°(b_1) + Σ_t (Q°(b_t, a_t) − V°(b_t)),
 
-for E[R_t + V°(b_{t+1}) | b_t, a_t] = Q°(b_t, a_t), and V° is 0 after the end. With one step to go Q_1, which is exact,
-stands for Q°. The advantages are small where V° is near the worth of the policy, so that little noise is left: of some
-four times fewer tables as much is known.
+because E[R_t + V°(b_{t+1}) | b_t, a_t] = Q°(b_t, a_t), and V° is 0 after the end. With one step to go, the exact Q_1
+replaces Q°. The advantages are small if V° is near the policy's value, so little noise remains: about a quarter of the
+tables gives the same precision.
 """
 
 from collections.abc import Sequence
@@ -27,10 +27,10 @@ from halfseen.world.transition import start
 
 
 class Controlled(NamedTuple):
-    """What a policy earned on B tables, in two parts, and how long it took."""
+    """Variance-reduced reward of a policy on B tables, in two parts, and duration."""
 
     value: Float[np.ndarray, " B"]
-    """V°(b_1), the same of all policies."""
+    """V°(b_1), the same for all policies."""
     advantage: Float[np.ndarray, " B"]
     """Σ_t (Q°(b_t, a_t) − V°(b_t))."""
     robot_s: Float[np.ndarray, " B"]
@@ -38,21 +38,21 @@ class Controlled(NamedTuple):
 
     @property
     def reward(self) -> Float[np.ndarray, " B"]:
-        """Of the same mean as the reward of each trajectory, with less noise."""
+        """Estimate with the same mean as the reward of each trajectory, but less variance."""
         return self.value + self.advantage
 
 
 def controlled(
     config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[np.ndarray, " B"]
 ) -> Controlled:
-    """Play the tables that `halfseen.world.rollout.evaluate_some` would, of one robot.
+    """Play the same tables as `halfseen.world.rollout.evaluate_some`, for one robot.
 
     `config` is the true world.
 
     Raises
     ------
     ArgumentError
-        The world's laws can only be drawn from.
+        The world's laws can only be sampled from.
     """
     return in_parts(_controlled, config, layouts, policy, key, episode)
 
@@ -60,16 +60,16 @@ def controlled(
 def controlled_each(
     config: WorldConfig, layouts: Layout, policies: Sequence[Policy], key: Key, episode: Int[np.ndarray, " B"]
 ) -> list[Controlled]:
-    """What `controlled` says of each policy; they play side by side, which takes less time."""
+    """Result of `controlled` for each policy; playing them side by side is faster."""
     return side_by_side(_controlled, config, layouts, policies, key, episode)
 
 
 def start_values(
     config: WorldConfig, layouts: Layout, key: Key, episode: Int[np.ndarray, " B"]
 ) -> Float[np.ndarray, " B"]:
-    """V°(b_1) of tables as they are set, which are not played: many cost little.
+    """V°(b_1) of tables at their start, which are not played, so that many are cheap.
 
-    Their mean stands for that of the tables that are played, whose luck it takes out, too.
+    Their mean replaces that of the played tables, which also removes the noise of these starts.
     """
     found = []
     for first in range(0, len(episode), BATCH):
@@ -100,6 +100,6 @@ def _controlled(
 
 
 def _looked(config: WorldConfig, state: TableState) -> tuple[one_step.Table, one_step.Outlook]:
-    """What is believed of tables, and what may follow one attempt."""
+    """Beliefs of tables, and the possible outcomes of one attempt."""
     table = one_step.table_of(config, state)
     return table, one_step.outlook_of(config, table)

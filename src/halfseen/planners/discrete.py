@@ -1,4 +1,4 @@
-"""A POMDP given as arrays, solved exactly over a finite horizon by alpha vectors [SmallwoodSondik1973]_.
+"""Exact solution of a POMDP given as arrays, over a finite horizon, by alpha vectors [SmallwoodSondik1973]_.
 
 The value of a belief b with h steps to go is max over α ∈ Γ_h of α·b, where Γ_0 = {0} and, with ⊕ the sums of all
 pairs,
@@ -34,7 +34,7 @@ Vectors = Float[np.ndarray, "v S"]
 
 @dataclass(frozen=True)
 class Stage:
-    """Γ_h: what is worth knowing with h steps to go."""
+    """Γ_h: the alpha vectors with h steps to go."""
 
     vectors: Vectors
     actions: Int[np.ndarray, " v"]
@@ -86,7 +86,7 @@ def solve_discrete(
 ) -> DiscreteSolution:
     """Solve a POMDP exactly by value iteration over alpha vectors.
 
-    The number of vectors can grow beyond all bounds with the horizon: meant for small problems.
+    The number of vectors can explode with the horizon: use it for small problems.
 
     Parameters
     ----------
@@ -106,12 +106,12 @@ def solve_discrete(
     Returns
     -------
     DiscreteSolution
-        Its `value` and first `action`, and both for any belief.
+        Its `value` and first `action`, and methods that give both for any belief.
 
     Raises
     ------
     ArgumentError
-        A shape does not fit, a number is not finite, or probabilities do not sum to 1; the place is named.
+        A shape does not fit, a number is not finite, or probabilities do not sum to 1; the message names the entry.
 
     Examples
     --------
@@ -169,7 +169,7 @@ def _best_somewhere(vectors: Vectors) -> Int[np.ndarray, " k"]:
     _, first = np.unique(np.round(vectors / _SAME), axis=0, return_index=True)
     first = np.sort(first)
     num_as_good = np.count_nonzero(np.all(vectors[first][None] >= vectors[first][:, None], axis=2), axis=1)
-    # Of equal vectors the first, and none that another is at least as good as in every state.
+    # Keep the first of equal vectors, and none that another vector dominates in every state.
     waiting, kept = list(first[num_as_good == 1]), []
     while waiting:
         witness = _witness(vectors[waiting[-1]], vectors[kept])
@@ -210,7 +210,7 @@ def _numbers(values: ArrayLike, name: str, ndim: int) -> np.ndarray:
 
 
 def _probabilities(values: ArrayLike, name: str, reward: np.ndarray, shape: tuple[int | None, ...]) -> np.ndarray:
-    """Numbers of a shape, None for any, of which each row sums to 1."""
+    """Check probabilities: their shape (None for any size), and that each row sums to 1."""
     array = _numbers(values, name, len(shape))
     wanted = tuple(size or given for size, given in zip(shape, array.shape, strict=True))
     if array.shape != wanted:

@@ -1,15 +1,15 @@
 """The exact optimum of a small table before K robots, and the exact value of any policy on it.
 
-Backwards over what may happen, with n for all that must be counted of a trajectory and d for a cell of the grid of
-labels, (dynamic programming [Bellman1957]_ over sufficient statistics [SmallwoodSondik1973]_):
+Dynamic programming [Bellman1957]_ over sufficient statistics [SmallwoodSondik1973]_, with n the counts of a trajectory
+and d a cell of the grid of labels:
 
-    V(n, d) = max_a  R(n, d, a) + Σ_x P(x | n, a) E_labels V(n', d'),    price of what is left where it is over,
+    V(n, d) = max_a  R(n, d, a) + Σ_x P(x | n, a) E_labels V(n', d'),    price of dirty objects left at the end,
 
-where x says which robot is done first, when, and whether its object is held. That is enough as all robots know the
-same. It is the best of all that can be done by anyone who remembers everything that was seen, and at which time; a
-policy of several robots' state knows a little less (how far a thing was hidden when another began with it, what was in
-the air at the last look). Everything is exact in float64, in the world whose grip offsets lie on a grid; the nodes are
-those by which the planners' beliefs integrate. More nodes come nearer to normal offsets, and cost no states.
+where the event x is the first robot to finish, its time, and whether its object is held. This suffices as all robots
+share the same information. The optimum is over all policies that remember every observation and its time. A policy
+that sees only the state of a team knows a little less: not the occlusion of an object when another robot began with
+it, nor which objects were in the air at the last look. Results are exact in float64 for a world whose grip offsets lie
+on a grid, the quadrature nodes of the planners' beliefs. More nodes approach normal offsets without adding states.
 """
 
 import gc
@@ -37,17 +37,17 @@ from halfseen.world.scene import Scene
 from halfseen.world.state import TableState, Workspace
 
 MAX_STATES = 150_000_000
-"""States that are taken on unless more are allowed: 1.2 GB of values."""
+"""Default limit on the number of states: 1.2 GB of values."""
 _SAME_LABELS = 1e-3
 
 
 def place_of(graph: Graph, state: TableState) -> tuple[Node, tuple[int, ...]]:
-    """Node and cell of one state of a robot that works alone.
+    """Node and cell of one state of a single robot.
 
     Raises
     ------
     ArgumentError
-        It is not one of this table within this horizon.
+        The state is not one of this table within this horizon.
     """
     world, horizon = graph.world, len(graph.layers)
     index, there = horizon - int(state.steps_to_go), np.asarray(state.is_on_table)
@@ -62,7 +62,7 @@ def place_of(graph: Graph, state: TableState) -> tuple[Node, tuple[int, ...]]:
 
 
 def _tally_of(world: GridWorld, state: TableState, num_attempts: int) -> Tally:
-    """Looks and attempts along the trajectory; an object that left was washed by the last attempt that grasped it."""
+    """Tally of looks and attempts along the trajectory; an object that left was washed by its last attempt."""
     targets, held = (
         np.asarray(each)[:num_attempts].tolist() for each in (state.attempt_object, state.attempt_succeeded)
     )
@@ -80,7 +80,7 @@ def _tally_of(world: GridWorld, state: TableState, num_attempts: int) -> Tally:
 
 
 def _cell_of(world: GridWorld, node: Node, log_odds: np.ndarray, seen: np.ndarray) -> tuple[int, ...]:
-    """Cell that tells what the state does; where several are, they are worth the same."""
+    """Cell with the state's log-odds and shares seen; if several match, their values are equal."""
     cell = []
     for cup, counted in enumerate(node.tally):
         if counted is None:
@@ -99,7 +99,7 @@ def _cell_of(world: GridWorld, node: Node, log_odds: np.ndarray, seen: np.ndarra
 
 @dataclass(frozen=True, eq=False)
 class TeamOptimum:
-    """The best that robots can do on one table.
+    """The optimum of a team on one table.
 
     Attributes
     ----------
@@ -112,32 +112,32 @@ class TeamOptimum:
 
     @property
     def horizon(self) -> int:
-        """Decisions that each robot may make."""
+        """Largest number of decisions of each robot."""
         return self._graph.team.config.horizon
 
     @property
     def num_states(self) -> int:
-        """Number of different states that were valued."""
+        """Number of distinct states evaluated."""
         return self._graph.num_states
 
     def policy_value(self, policy: Policy, key: Key | None = None, max_states: int | None = None) -> float:
         """Exact expected reward of a policy, before the first look.
 
-        The policy is asked once in every state that it can reach, with a key of its own: a policy that draws its
-        actions at random, or samples futures, is valued for the draws of `key`. Trajectories that differ only in the
-        order of what happened, or in what is known of an object that has left, are one state; the policy is shown one
-        of them. Heuristics, planners and learned policies cannot tell them apart.
+        The policy decides once in every state that it can reach, with a separate key: a policy that draws random
+        actions or samples futures is evaluated for the draws of `key`. Trajectories that differ only in the order of
+        events, or in the history of an object that has left, share a state, and the policy sees one of them.
+        Heuristics, planners and learned policies cannot distinguish them.
 
         Parameters
         ----------
         policy
-            Any policy for so many robots.
+            Any policy for this number of robots.
         key
-            What it draws from, by default ``random.key_of(0)``.
+            Random key of its draws, by default ``random.key_of(0)``.
         max_states
-            Ask in this many states of each step at most: in the likely ones, and in some of the others, drawn at
-            random, that stand for the rest. The value is then an unbiased estimate, whose error shows over several
-            keys: for a policy that takes its time. By default, all.
+            Largest number of states per step in which the policy decides, for slow policies: the likely states, and a
+            random sample that represents the others. The value is then an unbiased estimate, whose error shows over
+            several keys. By default, all.
 
         Raises
         ------
@@ -149,12 +149,12 @@ class TeamOptimum:
     def policy_values(
         self, policies: Sequence[Policy], key: Key | None = None, max_states: int | None = None
     ) -> Float[np.ndarray, " P"]:
-        """Values of several policies, each as `policy_value` has it; what they share is found once.
+        """Values of several policies, as in `policy_value`; shared computations are done once.
 
         Raises
         ------
         ArgumentError
-            As `policy_value` does, or no policy is given.
+            As in `policy_value`, or no policy is given.
         """
         if not policies:
             raise ArgumentError("policies is empty; give at least one policy whose value is wanted")
@@ -167,7 +167,7 @@ class TeamOptimum:
                 break
             nodes, reached, step_key = list(layer.values()), reached_in(flow.masses), random.fold_in(key, index)
             if max_states is not None:
-                # What the draw changed is known under the best policy: only by how much this one is worse stays noisy.
+                # Control variate: the draw's effect on the optimal value is known, so only the regret is noisy.
                 kept = drawn(reached, max_states, random.fold_in(step_key, 0))
                 flow.earned += self._worth(nodes, reached) - self._worth(nodes, kept)
                 reached = kept
@@ -176,16 +176,16 @@ class TeamOptimum:
         return flow.earned
 
     def regret(self, policy: Policy, key: Key | None = None, max_states: int | None = None) -> float:
-        """What a policy earns less than the best one, without simulation noise; see `policy_value`."""
+        """Optimal value minus the policy's value, without simulation noise; see `policy_value`."""
         return self.value - self.policy_value(policy, key, max_states)
 
     @cached_property
     def _states(self) -> list[TableState]:
-        """What a policy is shown in each node of each layer."""
+        """State shown to a policy in each node of each layer."""
         return [states_of(self._graph.team, layer.values()) for layer in self._graph.layers]
 
     def _worth(self, nodes: list[Node], reached: Reached) -> Float[np.ndarray, " P"]:
-        """What the best policy earns from here on, weighted by mass."""
+        """Optimal value from here on, weighted by mass."""
         worth = np.zeros(len(reached.mass))
         for place, rows in reached.by_node():
             worth += reached.mass[:, rows] @ self._graph.value(nodes[place]).ravel()[reached.cell[rows]]
@@ -194,10 +194,10 @@ class TeamOptimum:
 
 @dataclass(frozen=True, eq=False)
 class TableOptimum(TeamOptimum):
-    """The best that one robot can do on one table that it reaches everywhere."""
+    """The optimum of one robot on one table that it reaches everywhere."""
 
     def q_values(self, state: TableState) -> Float[np.ndarray, " A"]:
-        """Expected reward of every action of one reachable state, the best policy following; −∞ where impossible.
+        """Expected reward of every action in one reachable state, then the optimal policy; −∞ if impossible.
 
         Raises
         ------
@@ -228,20 +228,20 @@ def solve_table(
     num_grip_nodes: int = NUM_NODES,
     max_states: int = MAX_STATES,
 ) -> TableOptimum:
-    """Find the best that one robot can do on a small table, exactly.
+    """Compute the exact optimum of one robot on a small table.
 
     Parameters
     ----------
     scene
         The table, or its ``hides``, shape (N, N).
     config
-        The world; one robot alone pays no price of time.
+        The world; a single robot pays no price of time.
     horizon
-        Steps that a trajectory may have, by default the world's.
+        Largest number of steps of a trajectory, by default the world's.
     num_grip_nodes
-        Grip offsets lie on this many Gauss–Hermite nodes; by default on those of the planners' beliefs.
+        Number of Gauss–Hermite nodes of the grip offsets, by default that of the planners' beliefs.
     max_states
-        Refuse what has more states than this; each takes 8 bytes.
+        Limit on the number of states, at 8 bytes each.
 
     Returns
     -------
@@ -251,18 +251,18 @@ def solve_table(
     Raises
     ------
     ArgumentError
-        A number is below 1, there is no object, the prior or a label leaves nothing in doubt, or there are more than
-        `max_states` states.
+        A number is below 1, there is no object, the prior or a label is certain, or there are more than `max_states`
+        states.
 
     Notes
     -----
-    States grow fastest where every object hides every other a little. Then two objects over 10 steps have 0.6 million,
-    three over 6 steps 4.4 million, over 8 steps 118 million, and four over 4 steps 2.1 million; three over 9 steps are
-    refused.
+    The number of states grows fastest if every object hides every other a little. Then two objects over 10 steps have
+    0.6 million, three over 6 steps 4.4 million, over 8 steps 118 million, and four over 4 steps 2.1 million; three over
+    9 steps exceed the default limit.
 
     Examples
     --------
-    Two cups, one behind the other, and three steps. The plain rule forgets what a dirty cup left behind costs.
+    Two cups, one behind the other, and three steps. The plain rule ignores the penalty for dirty cups left.
 
     >>> from halfseen.planners import GreedyPolicy
     >>> from halfseen.world import WorldConfig
@@ -283,16 +283,16 @@ def solve_team(
     num_grip_nodes: int = NUM_NODES,
     max_states: int = MAX_STATES,
 ) -> TeamOptimum:
-    """Find the best that a team can do on a small table, exactly.
+    """Compute the exact optimum of a team on a small table.
 
     Parameters
     ----------
     scene, num_grip_nodes, max_states
-        As `solve_table` has them.
+        As in `solve_table`.
     config
-        The world with its robots; of several, the law of grasping is a `GridGrasping`.
+        The world with its robots; for several, the law of grasping is a `GridGrasping`.
     workspace
-        Who reaches what, on one table.
+        Which robot reaches which object, on one table.
 
     Returns
     -------
@@ -302,7 +302,7 @@ def solve_team(
     Raises
     ------
     ArgumentError
-        As `solve_table` does; or the law is none on a grid, or not one for all robots, or robots may drop out.
+        As in `solve_table`; or the law is not on a grid, or differs between robots, or robots may drop out.
     """
     return TeamOptimum(*_solved(scene, config, workspace, num_grip_nodes, max_states))
 
@@ -322,7 +322,7 @@ def _solved(
 
 @contextmanager
 def _without_garbage_collection() -> Iterator[None]:
-    """Look for no garbage meanwhile: a graph that grows has none, and going through it takes a third of the time."""
+    """Disable garbage collection: a growing graph has no garbage, and scanning it takes a third of the time."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:

@@ -1,8 +1,8 @@
-"""All that may become of a small table before K robots, as a graph.
+"""The state graph of a small table before K robots.
 
-Of the table, what must be known is a tally of looks and attempts (`exact_table`), and of the robots what they are at
-(`exact_team`). A node holds all states that differ in their labels alone: its values lie on the grid of their labels.
-The layers of the graph are the nodes in which a robot decides, by the number of decisions that were made before.
+A state consists of a tally of looks and attempts (`exact_table`), the robots' actions in progress (`exact_team`), and
+labels. A node holds all states that differ only in their labels, with its values on the grid of labels. A layer holds
+the nodes in which a robot decides after the same number of decisions.
 """
 
 from dataclasses import dataclass, field
@@ -18,43 +18,43 @@ from halfseen.planners.exact_table import NOTHING, GridWorld, Held, Tally
 from halfseen.planners.exact_team import IDLE, Team, Work
 
 GO_ON = -1
-"""What is chosen where no robot is to decide."""
+"""The only choice of a node in which no robot decides."""
 
 
 @dataclass(eq=False, slots=True)
 class Arrival:
-    """What the camera sees next, and where that leads."""
+    """The next look, and the node that it leads to."""
 
     looks: tuple[Look | None, ...]
-    """What the look does to each axis of the grid."""
+    """Transition of the look along each axis of the grid."""
     node: "Node | None"
-    """None where the trajectory is over."""
+    """None if the trajectory is over."""
     left: tuple[Looks | None, ...] = ()
-    """What was kept then of the looks at each object that is left."""
+    """At the end, the record of looks at each object left."""
 
 
 class Choice(NamedTuple):
-    """What may come of an action."""
+    """Expected reward and transitions of an action."""
 
     reward: Grid | float
-    """Expected until the next node, but for the price of what is left at the end."""
+    """Expected reward until the next node, without the penalty for dirty objects left at the end."""
     ways: dict[Arrival, float]
-    """What may come next, and how likely that is."""
+    """Possible arrivals with their probabilities."""
 
 
 @dataclass(eq=False, slots=True)
 class Node:
-    """All states that differ in their labels alone."""
+    """All states that differ only in their labels."""
 
     tally: Tally
     work: Work
     shape: tuple[int, ...]
     place: int | None
-    """In its layer; None where no robot is to decide."""
+    """Index in its layer; None if no robot decides."""
     choices: dict[int, Choice] = field(default_factory=dict)
-    """By action; the only one is `GO_ON` where no robot is to decide."""
+    """By action; only `GO_ON` if no robot decides."""
     value: Grid | None = None
-    """Of the best that can be done from here on, once it was asked for."""
+    """Optimal value from here on, cached once computed."""
 
 
 Key: TypeAlias = tuple[Tally, Work]
@@ -62,12 +62,12 @@ Key: TypeAlias = tuple[Tally, Work]
 
 @dataclass(eq=False)
 class Graph:
-    """What may become of a table: each node once, layer by layer.
+    """The state graph of a table: each node once, layer by layer.
 
     Raises
     ------
     ArgumentError
-        The states are more than `max_states`.
+        There are more than `max_states` states.
     """
 
     team: Team
@@ -101,14 +101,14 @@ class Graph:
         self._ends: dict[tuple[Looks | None, ...], Arrival] = {}
 
     def choices(self, node: Node) -> dict[int, Choice]:
-        """What may be done; it is not kept where it leads to no decision any more, as that is most of what there is."""
+        """Choices in a node; those of the last layer, which are most of the graph, are not kept."""
         if node.choices:
             return node.choices
         if node.place is None:
             return {GO_ON: self._outcome(node.tally, node.work)}
         decisions = self.team.decisions(node.tally, node.work)
         if self.team.is_alone:
-            # What follows is the next decision, and nobody needs a node between.
+            # The next event is the next decision, so no node is needed in between.
             return {action: self._outcome(node.tally, work) for action, work in decisions}
         return {action: Choice(0.0, {self._arrival(node.tally, work, None): 1.0}) for action, work in decisions}
 
@@ -122,7 +122,7 @@ class Graph:
         return Choice(reward, ways)
 
     def _arrival(self, tally: Tally, work: Work, held: Held | None) -> Arrival:
-        """Where a look leads, or none if nothing is `held` for it."""
+        """Arrival after a look, or without a look if `held` is None."""
         if not any(tally) or (held is None and (self.team.is_alone or work.is_done)):
             left = tuple([counted and counted.looks for counted in tally])
             found = self._ends.get(left)
@@ -158,9 +158,9 @@ class Graph:
             )
 
     def q(self, node: Node) -> dict[int, Grid]:
-        """Q(n, a) = R(n, a) + Σ P(event | n, a) E_labels V(n') of each possible action."""
+        """Q(n, a) = R(n, a) + Σ P(event | n, a) E_labels V(n') for each possible action."""
         choices = self.choices(node)
-        # A WASH and a LIFT that fail lead to the same.
+        # A failed WASH and a failed LIFT share an arrival.
         arrivals = dict.fromkeys(arrival for choice in choices.values() for arrival in choice.ways)
         worth = {arrival: self.worth(arrival) for arrival in arrivals}
         return {

@@ -1,13 +1,13 @@
-"""What the looks at one object may say, in float64, side by side on the axis of a grid.
+"""The possible labels of one object, as the cells of a grid axis, in float64.
 
-An object can be seen in a few ways only (`Views`). Under one record of its looks all that they may have said lies side
-by side as the cells of an axis. Where labels are independent given the truth (`CountedLabels`), the record is how often
-the object was looked at in each view, and a cell is how many of the looks in each view said DIRTY. Where they are not
-(`RecordedLabels`), it is the sequence of the views that showed something new, and a cell is what was said in each: of
-`PersistentSeeing` "not yet found", and "found at the k-th record".
+An object has only a few views (`Views`). For a given record of its looks, the possible label histories are the cells of
+an axis. If labels are independent given the truth (`CountedLabels`), the record counts the looks in each view, and a
+cell counts the looks in each view that said DIRTY. Otherwise (`RecordedLabels`), the record is the sequence of views
+that showed something new, and a cell is the label in each: under `PersistentSeeing` "not yet found" or "found at the
+k-th record".
 
-Values of a table are arrays over the grid of its objects' axes, and a look is taken along one axis after the other:
-given the past, the labels of different objects are independent.
+Values of a table are arrays over the grid of its objects' axes. A look is applied along one axis after another, since
+the labels of different objects are independent given the past.
 """
 
 from dataclasses import dataclass
@@ -21,25 +21,25 @@ from halfseen.world.seeing import KnownSeeing, is_independent, label_evidence
 
 _MAX_CACHED = 8192
 Looks: TypeAlias = tuple[int, ...]
-"""What is kept of the looks at an object."""
+"""Record of the looks at an object."""
 Grid: TypeAlias = Float[np.ndarray, "..."]
-"""Over the labels of a table: an axis for each object, of length 1 once that has left."""
+"""Array over the labels of a table: an axis for each object, of length 1 once it has left."""
 
 
 class Views(NamedTuple):
-    """The ways in which an object can be seen."""
+    """The views in which an object can be seen."""
 
     occluded: Float[np.ndarray, " views"]
     is_held: Bool[np.ndarray, " views"]
 
     @property
     def held(self) -> int:
-        """Number of the view of it while it is held up."""
+        """Index of the view of the object held up."""
         return int(np.argmax(self.is_held)) if self.is_held.any() else 0
 
 
 class Cells(NamedTuple):
-    """What is known of the object in each cell."""
+    """Belief about the object in each cell."""
 
     log_odds: Float[np.ndarray, " cells"]
     seen: Float[np.ndarray, " cells"]
@@ -52,7 +52,7 @@ class Cells(NamedTuple):
 
 
 class Look(NamedTuple):
-    """One more label of an object: where each cell of its axis goes, and how likely that is."""
+    """One more label of an object: the transitions of the cells of its axis, with their probabilities."""
 
     looks: Looks
     if_clean: Int[np.ndarray, " cells"]
@@ -71,12 +71,12 @@ class CountedLabels:
 
     @property
     def nothing(self) -> Looks:
-        """What is kept before the first look."""
+        """Record before the first look."""
         return (0,) * len(self.views.occluded)
 
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019 bounded, and the entries are small
     def cells(self, looks: Looks) -> Cells:
-        """What looks may have told."""
+        """Cells of a record of looks."""
         positive = self.seeing.positive(self.views.occluded, 0.0, self.views.is_held)
         if_said, if_not = (label_evidence(*positive, says_dirty) for says_dirty in (True, False))
         said = 2 * _dirty_labels(looks) - np.array(looks)[:, None]
@@ -85,7 +85,7 @@ class CountedLabels:
 
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
     def look(self, looks: Looks, view: int) -> Look | None:
-        """Look once more; None where that says nothing."""
+        """Transition of one more look; None if it shows nothing new."""
         after = (*looks[:view], looks[view] + 1, *looks[view + 1 :])
         labels, shape = _dirty_labels(looks), [count + 1 for count in after]
         one_more = labels + (np.arange(len(looks)) == view)[:, None]
@@ -96,18 +96,18 @@ class CountedLabels:
 
 @dataclass(frozen=True, eq=False)
 class RecordedLabels:
-    """Labels of one object that depend on former looks: its views in their order, but for those that said nothing."""
+    """Labels of one object that depend on former looks: its views in order, except those that showed nothing new."""
 
     seeing: KnownSeeing
     views: Views
     prior: float
     """Log-odds of DIRTY before the first label."""
     nothing: Looks = ()
-    """What is kept before the first look."""
+    """Record before the first look."""
 
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
     def cells(self, looks: Looks) -> Cells:
-        """What looks may have told: a cell in which a look may say DIRTY gets a cell beside it, behind all others."""
+        """Cells of a record of looks: each look appends a cell for every cell in which it may say DIRTY."""
         if not looks:
             return Cells(np.array([self.prior]), np.zeros(1))
         before, view = self.cells(looks[:-1]), looks[-1]
@@ -119,7 +119,7 @@ class RecordedLabels:
 
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
     def look(self, looks: Looks, view: int) -> Look | None:
-        """Look once more; None where that says nothing."""
+        """Transition of one more look; None if it shows nothing new."""
         before, cells = self.cells(looks), np.arange(len(self.cells(looks).seen))
         positive = self._positive(before, view)
         is_news = positive[0] + positive[1] > 0.0
@@ -141,7 +141,7 @@ Labels: TypeAlias = CountedLabels | RecordedLabels
 
 
 def labels_of(seeing: KnownSeeing, occlusions: Float[np.ndarray, " levels"], dirty_share: float) -> Labels:
-    """Labels of an object that is seen at its occlusions, from 0 up, and held, if that is another view."""
+    """Labels of an object with views at its occlusions, from 0 up, and a held view if it differs."""
     prior = float(np.log(dirty_share) - np.log1p(-dirty_share))
     views = Views(np.append(occlusions, 0.0), np.arange(len(occlusions) + 1) == len(occlusions))
     on_table, in_hand = (
@@ -158,17 +158,17 @@ def _says_dirty(before: Cells, if_dirty: Grid | float, if_clean: Grid | float) -
 
 
 def _dirty_labels(looks: Looks) -> Int[np.ndarray, "views cells"]:
-    """How many of the looks in each view said DIRTY, cell by cell."""
+    """Number of looks in each view that said DIRTY, for each cell."""
     return np.indices([count + 1 for count in looks]).reshape(len(looks), -1)
 
 
 def along(values: Float[np.ndarray, " cells"], axis: int, num_axes: int) -> Grid:
-    """Lay values along one axis of a grid."""
+    """Reshape values to lie along one axis of a grid."""
     return values.reshape([-1 if at == axis else 1 for at in range(num_axes)])
 
 
 def expected_over_labels(values: Grid, looks: tuple[Look | None, ...]) -> Grid:
-    """Mean of `values`, on the grid after a look, over what the look may say; on the grid before it."""
+    """Expectation over the labels of a look: from values on the grid after it to values on the grid before it."""
     for axis, look in enumerate(looks):
         if look is not None:
             if_clean, if_dirty = values.take(look.if_clean, axis), values.take(look.if_dirty, axis)
@@ -179,9 +179,9 @@ def expected_over_labels(values: Grid, looks: tuple[Look | None, ...]) -> Grid:
 
 
 def spread_over_labels(mass: Grid, looks: tuple[Look | None, ...], shape: tuple[int, ...]) -> Grid:
-    """Probability of each cell of the grid (of `shape`) after a look, given that of each before it.
+    """Probability of each cell of the grid (of `shape`) after a look, from the probabilities before it.
 
-    The objects' axes are the last of `mass`; those before them are kept.
+    The objects' axes are the last of `mass`; leading axes are kept.
     """
     for axis, look in enumerate(looks, start=mass.ndim - len(looks)):
         if look is not None:

@@ -1,4 +1,4 @@
-"""What policies earn on a table whose graph is known, exactly: where their trajectories go, layer by layer."""
+"""Exact values of policies on a table with a known state graph, by propagating probability mass layer by layer."""
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
@@ -20,28 +20,28 @@ from halfseen.world.random import Key
 from halfseen.world.state import NO_ATTEMPT, Robots, TableState, initial_state, pad_scenes
 
 _ASKED_AT_ONCE = 1024
-"""States in which a policy is asked at once, so that one that samples futures has room."""
+"""Batch size of a policy's decisions, which limits the memory of policies that sample futures."""
 
 
 class Reached(NamedTuple):
-    """States of a layer that some of P policies reach, those of a node side by side."""
+    """States of a layer that any of P policies reaches, grouped by node."""
 
     place: Int[np.ndarray, " n"]
-    """Of its node in the layer."""
+    """Index of the state's node in the layer."""
     cell: Int[np.ndarray, " n"]
-    """In the node's grid."""
+    """Index of the state's cell in the node's grid."""
     mass: Float[np.ndarray, "P n"]
-    """Probability that a trajectory of each policy comes here."""
+    """Probability that a trajectory of each policy reaches the state."""
 
     def by_node(self) -> Iterator[tuple[int, slice]]:
-        """Go through the nodes: place in the layer, and rows of its states."""
+        """Iterate over the nodes: index in the layer, and rows of its states."""
         starts = np.flatnonzero(np.diff(self.place, prepend=-1)).tolist()
         for start, end in zip(starts, [*starts[1:], len(self.place)], strict=True):
             yield int(self.place[start]), slice(start, end)
 
 
 def reached_in(masses: dict[int, Grid]) -> Reached:
-    """The cells of a layer's grids in which some policy (the first axis) has mass, in the order of the layer."""
+    """The cells of a layer's grids in which any policy (the first axis) has mass, in layer order."""
     flat = {place: masses[place].reshape(len(masses[place]), -1) for place in sorted(masses)}
     cells = {place: np.flatnonzero((mass > 0.0).any(axis=0)) for place, mass in flat.items()}
     return Reached(
@@ -52,17 +52,17 @@ def reached_in(masses: dict[int, Grid]) -> Reached:
 
 
 def drawn(reached: Reached, max_states: int, key: Key) -> Reached:
-    """Let each policy keep at most so many states, which then stand for all that it reaches."""
+    """Sample at most `max_states` states for each policy, which then represent all that it reaches."""
     mass = np.stack([_thinned(of_policy, max_states, float(random.uniform(key))) for of_policy in reached.mass])
     kept = np.flatnonzero((mass > 0.0).any(axis=0))
     return Reached(reached.place[kept], reached.cell[kept], mass[:, kept])
 
 
 def _thinned(mass: Float[np.ndarray, " n"], max_states: int, draw: float) -> Float[np.ndarray, " n"]:
-    """Keep the likely states, and at random some of the others, which then stand for the rest.
+    """Keep the likely states, and a random sample of the others that represents the rest.
 
-    No expectation changes [FearnheadClifford2003]_: a mass m < c becomes c with probability m/c, or else 0, and c is
-    such that as many states are left as are wanted.
+    Expectations are unchanged [FearnheadClifford2003]_: a mass m < c becomes c with probability m/c, otherwise 0, and c
+    is set so that `max_states` states remain.
     """
     if np.count_nonzero(mass) <= max_states:
         return mass
@@ -73,7 +73,7 @@ def _thinned(mass: Float[np.ndarray, " n"], max_states: int, draw: float) -> Flo
     is_likely = mass >= share[num_likely]
     rest = np.flatnonzero(~is_likely & (mass > 0.0))
     ladder = np.cumsum(mass[rest]) / share[num_likely]
-    # Evenly spaced draws add less noise than independent ones.
+    # Systematic sampling adds less noise than independent draws.
     steps = draw + np.arange(max_states - num_likely)
     lucky = rest[np.minimum(np.searchsorted(ladder, steps, side="right"), len(rest) - 1)]
     kept = np.where(is_likely, mass, 0.0)
@@ -82,10 +82,9 @@ def _thinned(mass: Float[np.ndarray, " n"], max_states: int, draw: float) -> Flo
 
 
 def states_of(team: Team, nodes: Collection[Node]) -> TableState:
-    """What a policy is shown in each of some nodes, but for the labels.
+    """State shown to a policy in each of some nodes, without the labels.
 
-    Of attempts it is shown those at objects that have not left: the others are forgotten, so that there is room for all
-    that follow.
+    It holds only attempts at objects that have not left, so that there is room for all later attempts.
     """
     num, world, tallies, works = len(nodes), team.world, [node.tally for node in nodes], [node.work for node in nodes]
     tried = np.zeros((num, team.config.num_stages, 3))
@@ -121,7 +120,7 @@ def states_of(team: Team, nodes: Collection[Node]) -> TableState:
 
 
 def _attempts(world: GridWorld, tally: Tally) -> list[tuple[int, float, bool]]:
-    """Attempts at what has not left: object, its occlusion, and whether it held."""
+    """Attempts at objects that have not left: object, occlusion, and success."""
     return [
         (cup, world.occlusions[cup][level], is_held)
         for cup, counted in enumerate(tally)
@@ -133,7 +132,7 @@ def _attempts(world: GridWorld, tally: Tally) -> list[tuple[int, float, bool]]:
 
 
 def labelled(world: GridWorld, states: TableState, nodes: list[Node], reached: Reached) -> TableState:
-    """The states that are reached of a layer, given what is shown in each of its nodes."""
+    """Complete the states of a layer's nodes with the labels of each reached cell."""
     shown = np.zeros((2, len(reached.place), world.num_objects), dtype=np.float32)
     for place, rows in reached.by_node():
         axes = np.unravel_index(reached.cell[rows], nodes[place].shape)
@@ -146,7 +145,7 @@ def labelled(world: GridWorld, states: TableState, nodes: list[Node], reached: R
 
 
 def actions_in(states: TableState, reached: Reached, policies: Sequence[Policy], key: Key) -> Int[np.ndarray, "P n"]:
-    """Ask each policy in the states that it reaches, each with a key of its own; FINISH where it never comes."""
+    """Decisions of each policy in the states that it reaches, each with its own key; FINISH in all others."""
     actions = np.full(reached.mass.shape, FINISH, dtype=np.int64)
     keys = random.fold_in(random.fold_in(key[None], reached.place), reached.cell)
     for of_policy, mass, policy in zip(actions, reached.mass, policies, strict=True):
@@ -158,16 +157,16 @@ def actions_in(states: TableState, reached: Reached, policies: Sequence[Policy],
 
 
 class Flow:
-    """Where the trajectories of P policies go, and what they earn."""
+    """Probability mass and accumulated reward of the trajectories of P policies."""
 
     def __init__(self, graph: Graph, num_policies: int) -> None:
         self.graph, self.earned = graph, np.zeros(num_policies)
         self.masses: dict[int, Grid] = {}
-        """Probability of each cell of a node that is about to decide, by its place, of each policy."""
+        """For each node of the next layer, by index: probability of each cell under each policy."""
         self._arrive(graph.root, np.ones((num_policies, *(1,) * graph.world.num_objects)), np.arange(num_policies))
 
     def go_on(self, nodes: list[Node], reached: Reached, actions: Int[np.ndarray, "P n"]) -> None:
-        """Let every policy act in the states of a layer, until the next decision.
+        """Advance every policy from the states of a layer to the next decision.
 
         Raises
         ------
@@ -193,7 +192,7 @@ class Flow:
                     self._send(choice, moved, movers)
 
     def _paid(self, choice: Choice) -> Grid | float:
-        """What it pays until the next decision, or until the end, where there is none."""
+        """Reward of a choice until the next decision or the end."""
         ends = [(arrival, probability) for arrival, probability in choice.ways.items() if arrival.node is None]
         return sum((probability * self.graph.worth(arrival) for arrival, probability in ends), choice.reward)
 

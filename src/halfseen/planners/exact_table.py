@@ -1,11 +1,11 @@
-"""A small table with grip offsets on a grid, in float64, and what must be counted of a trajectory to know all of it.
+"""A small table with grip offsets on a grid, in float64, and the sufficient statistics of its trajectories.
 
-That a table before several robots can be solved exactly, durations lie on a grid, too (`GridGrasping`).
+To solve a table before several robots exactly, durations lie on a grid, too (`GridGrasping`).
 
-Given what is seen, objects are independent, and an object's labels say nothing of its grip. So all that a trajectory
-says of an object that still stands on the table is counted (`Counted`): what its labels take of the looks
-(`exact_labels`), and how often it was grasped and missed at each occlusion. N objects can be occluded in no more than
-2^(N−1) ways each, so there are few occlusions to count at. What left the table is forgotten.
+Given the observations, objects are independent, and an object's labels are independent of its grip. So the sufficient
+statistics of an object on the table are counts (`Counted`): the record of its looks (`exact_labels`), and the numbers
+of successful and failed attempts at each occlusion. Each of N objects has at most 2^(N−1) occlusions, so there are few
+counts. Objects that left the table are dropped.
 """
 
 from dataclasses import dataclass
@@ -32,25 +32,26 @@ _SUM_TO_ONE = 1e-6
 
 @record
 class GridGrasping:
-    """Attempts hold as another law has it, and take one of a few times that tell nothing of the grip.
+    """Attempts succeed as under another law, with one of a few durations that are independent of the grip.
 
-    What is hidden of a grip lies on the nodes by which the planners' beliefs integrate, so that those are exact.
+    The hidden grip offset lies on the quadrature nodes of the planners' beliefs, so that these are exact.
 
     Parameters
     ----------
     base
-        Tells how likely an attempt holds.
+        Law of the success of an attempt.
     held_s
-        Times that an attempt takes that holds [s].
+        Durations of a successful attempt [s].
     held_share
         Probability of each.
     limit_s
-        Time of an attempt that misses, and the longest there is [s].
+        Duration of a failed attempt, and the longest duration [s].
 
     Raises
     ------
     ArgumentError
-        There are not as many shares as times, they do not sum to 1, or a time is not above 0 or above the limit.
+        The numbers of shares and durations differ, the shares do not sum to 1, or a duration is not positive or exceeds
+        the limit.
     """
 
     base: KnownGrasping = AssumedGrasping()
@@ -60,7 +61,7 @@ class GridGrasping:
 
     def __post_init__(self) -> None:
         numbers = (*self.held_s, *self.held_share, self.limit_s)
-        # Under a transformation a number may be a placeholder without a value.
+        # Under a JAX transformation, a number may be a tracer without a value.
         if not all(isinstance(number, (int, float)) for number in numbers):
             return
         if len(self.held_s) != len(self.held_share) or abs(sum(self.held_share) - 1.0) > _SUM_TO_ONE:
@@ -70,11 +71,11 @@ class GridGrasping:
 
     @property
     def offset_std(self) -> Number:
-        """Of the law that tells how likely an attempt holds."""
+        """Standard deviation of u under the base law."""
         return self.base.offset_std
 
     def draw_latent(self, num_objects: int, key: Key) -> Float[Array, "*B N"]:
-        """Draw u of each object, on the nodes of the planners' beliefs."""
+        """Draw u of each object, on the quadrature nodes of the planners' beliefs."""
         xp, (nodes, prior) = library_of(key), offset_prior()
         drawn = random.categorical(key, _log_shares(xp, prior, (*key.shape[:-1], num_objects)))
         return self.offset_std * xp.asarray(nodes, dtype=np.float32)[drawn]
@@ -82,7 +83,7 @@ class GridGrasping:
     def attempt(
         self, table: Arrangement, latent: Float[Array, "*B N"], verb: Which, target: Which, key: Key
     ) -> Attempt:
-        """Draw whether it holds, and then how long it takes; whatever is to be done with the object."""
+        """Draw success, then duration; the same for all verbs."""
         xp, (held_key, time_key) = library_of(key), random.split(key)
         log_failure = self.log_failure(at(table.occlusion, target), at(table.grip, target) + at(latent, target))
         is_held = random.log_uniform(held_key) >= log_failure
@@ -91,42 +92,42 @@ class GridGrasping:
         return Attempt(is_held, xp.where(is_held, time_s, np.float32(self.limit_s)), table.hides, latent)
 
     def log_failure(self, occluded: Any, offset: Any) -> Any:
-        """As the base has it."""
+        """Log P(an attempt fails) under the base law."""
         return self.base.log_failure(occluded, offset)
 
     def expected_s(self, occluded: Any, offset: Any) -> Any:
-        """Mean time over both results [s]."""
+        """Mean duration over both outcomes [s]."""
         log_failure = self.log_failure(occluded, offset)
         held_s = sum(time * share for time, share in zip(self.held_s, self.held_share, strict=True))
         return held_s + library_of(log_failure).exp(log_failure) * (self.limit_s - held_s)
 
 
 def _log_shares(xp: Any, shares: Any, shape: tuple[int, ...]) -> Float[Array, "*S G"]:
-    """Logarithms of shares, for each of so many draws."""
+    """Log shares, broadcast to the shape of the draws."""
     logarithms = xp.log(xp.asarray(shares, dtype=np.float32))
     return xp.broadcast_to(logarithms, (*shape, *logarithms.shape))
 
 
 _SAME_OCCLUSION_DIGITS = 12
 Counts: TypeAlias = tuple[int, ...]
-"""One number for each occlusion that an object can have."""
+"""One count for each possible occlusion of an object."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Counted:
-    """What a trajectory says of one object; `GridWorld.counted` makes each only once, so that it is a key."""
+    """Sufficient statistics of one object; `GridWorld.counted` makes each only once, so identity serves as a key."""
 
     cup: int
     looks: Looks
     failures: Counts
-    """Attempts at each occlusion that the object can have."""
+    """Failed attempts at each possible occlusion of the object."""
     successes: Counts
 
 
 Tally: TypeAlias = tuple[Counted | None, ...]
 """One entry for each object; None once it has left the table."""
 Held: TypeAlias = frozenset[int]
-"""Objects that are up in the air."""
+"""Objects that are held up in the air."""
 NOTHING: Held = frozenset()
 _GONE = None, None
 
@@ -140,7 +141,7 @@ class GridWorld:
     num_grip_nodes: int
 
     def __post_init__(self) -> None:
-        # What these methods answer is kept for as long as the table is.
+        # Cache these methods for the lifetime of the table.
         for name in ("counted", "tried", "seen", "attempt", "washed", "price"):
             object.__setattr__(self, name, cache(getattr(self, name)))
 
@@ -156,17 +157,17 @@ class GridWorld:
 
     @cached_property
     def grasping(self) -> KnownGrasping:
-        """How attempts go, in float64."""
+        """Law of grasping, in float64."""
         return mapped(_in_float64, known_grasping(self.config))
 
     @cached_property
     def seeing(self) -> KnownSeeing:
-        """What looks say, in float64."""
+        """Law of seeing, in float64."""
         return mapped(_in_float64, known_seeing(self.config))
 
     @cached_property
     def grip_offsets(self) -> Float[np.ndarray, " G"]:
-        """What is hidden of the grip offset that an object can have: what comes on top of its mean."""
+        """Nodes of the hidden part of a grip offset, added to its mean."""
         return float(self.grasping.offset_std) * hermegauss(self.num_grip_nodes)[0]
 
     @cached_property
@@ -177,12 +178,12 @@ class GridWorld:
 
     @cached_property
     def occlusions(self) -> tuple[Float[np.ndarray, " levels"], ...]:
-        """For each object, the distinct occlusions that it can have, from 0 up."""
+        """For each object, its distinct possible occlusions, from 0 up."""
         return tuple(np.unique(row) for row in self._occlusion_by_subset)
 
     @cached_property
     def level_by_subset(self) -> Int[np.ndarray, "N subsets"]:
-        """Index in `occlusions` of each object while the objects of a subset (bits) stand on the table."""
+        """Index in `occlusions` of each object when the objects of a subset (bits) are on the table."""
         rows = zip(self.occlusions, self._occlusion_by_subset, strict=True)
         return np.array([np.searchsorted(levels, row) for levels, row in rows])
 
@@ -198,29 +199,29 @@ class GridWorld:
 
     @cached_property
     def labels(self) -> tuple[Labels, ...]:
-        """For each object, what its looks may say.
+        """For each object, its possible labels.
 
         Raises
         ------
         ArgumentError
-            The prior or a label leaves nothing in doubt.
+            The prior or a label is certain.
         """
         dirty_share = float(self.config.dirty_share)
         _check_between("dirty_share", np.array([dirty_share]))
         labels = tuple(labels_of(self.seeing, levels, dirty_share) for levels in self.occlusions)
         for cup, each in enumerate(labels):
             positive = np.stack(self.seeing.positive(each.views.occluded, 0.0, each.views.is_held))
-            # A look that shows nothing never says DIRTY, and leaves all in doubt.
+            # Exclude looks that show nothing: they never say DIRTY and carry no evidence.
             _check_between(f"a label's probability of object {cup}", positive[:, (positive != 0.0).any(axis=0)].ravel())
         return labels
 
     def counted(self, cup: int, looks: Looks, failures: Counts, successes: Counts) -> Counted:
-        """What a trajectory says of an object, once for each."""
+        """Return the one `Counted` of these statistics."""
         return Counted(cup, looks, failures, successes)
 
     @property
     def first(self) -> Tally:
-        """The tally before anything was seen."""
+        """The tally before the first look."""
         none = [(0,) * len(levels) for levels in self.occlusions]
         return tuple(self.counted(cup, each.nothing, none[cup], none[cup]) for cup, each in enumerate(self.labels))
 
@@ -230,24 +231,24 @@ class GridWorld:
         return tuple([1 if each is None else len(labels.cells(each.looks).seen) for labels, each in pairs])
 
     def levels(self, tally: Tally, held: Held = NOTHING) -> list[int]:
-        """Index of the occlusion of each object now; what is held hides nothing."""
+        """Index of the occlusion of each object now; held objects hide nothing."""
         return self._levels[sum([1 << each.cup for each in tally if each is not None and each.cup not in held])]
 
     def tried(self, counted: Counted, level: int, is_held: bool) -> Counted:
-        """What is known of an object after an attempt at one of its occlusions, by whether it held; it stays."""
+        """Update an object that stays on the table by the outcome of an attempt at one of its occlusions."""
         failures, successes = list(counted.failures), list(counted.successes)
         (successes if is_held else failures)[level] += 1
         return self.counted(counted.cup, counted.looks, tuple(failures), tuple(successes))
 
     def looked(self, tally: Tally, held: Held) -> tuple[Tally, tuple[Look | None, ...]]:
-        """Look once at every object on the table: the tally then, and what that does to each axis, None if nothing."""
+        """Look once at every object on the table: the next tally, and each axis's transition, None if unchanged."""
         levels = self.levels(tally, held)
         seen = [_GONE if each is None else self.seen(each, levels[each.cup], each.cup in held) for each in tally]
         after, looks = zip(*seen, strict=True)
         return after, looks
 
     def seen(self, counted: Counted, level: int, is_held: bool) -> tuple[Counted, Look | None]:
-        """Look once at one object, which is hidden so far, or held up."""
+        """Look once at one object, which is occluded by `level` or held up."""
         labels = self.labels[counted.cup]
         look = labels.look(counted.looks, labels.views.held if is_held else level)
         if look is None:
@@ -255,9 +256,10 @@ class GridWorld:
         return self.counted(counted.cup, look.looks, counted.failures, counted.successes), look
 
     def attempt(self, cup: int, failures: Counts, successes: Counts, level: int) -> tuple[float, float]:
-        """P(an attempt succeeds), and its expected time [s], transport included.
+        """P(an attempt succeeds), and its expected duration with transport [s].
 
-        By object, past failures and successes at each of its occlusions, and index of the occlusion now.
+        The arguments are the object, its past failures and successes at each occlusion, and the index of the occlusion
+        now.
         """
         occluded = self.occlusions[cup][:, None]
         offsets = self.grip[cup] + self.grip_offsets
@@ -270,11 +272,11 @@ class GridWorld:
         return float(grip @ caught[level]), float(self.config.transport_s) + expected_s
 
     def washed(self, cup: int, looks: Looks) -> Grid:
-        """What it pays to have washed an object, along its axis of the grid."""
+        """Expected reward of having washed an object, along its axis of the grid."""
         return self._by_dirt(cup, looks, float(self.config.reward_wash_dirty), float(self.config.reward_wash_clean))
 
     def price(self, cup: int, looks: Looks) -> Grid:
-        """Expected price of leaving an object, along its axis of the grid."""
+        """Expected penalty for leaving an object, along its axis of the grid."""
         return self._by_dirt(cup, looks, float(self.config.reward_dirty_left), 0.0)
 
     def _by_dirt(self, cup: int, looks: Looks, if_dirty: float, if_clean: float) -> Grid:
@@ -282,7 +284,7 @@ class GridWorld:
         return dirty * if_dirty + (1.0 - dirty) * if_clean
 
     def price_of_left(self, looks: tuple[Looks | None, ...]) -> Grid:
-        """Expected price of what is dirty on the table when the trajectory ends, by the looks at what is left."""
+        """Expected penalty for dirty objects left at the end, given the records of looks at the objects left."""
         prices = [self.price(cup, each) for cup, each in enumerate(looks) if each is not None]
         return sum(prices[1:], prices[0]) if prices else np.zeros((1,) * self.num_objects)
 
@@ -292,7 +294,7 @@ def _in_float64(leaf: Number | np.ndarray) -> float | np.ndarray:
 
 
 def _check_between(name: str, probabilities: Float[np.ndarray, " k"]) -> None:
-    """Log-odds must be finite."""
+    """Check that probabilities are in (0, 1), so that log-odds are finite."""
     wrong = probabilities[~((probabilities > 0.0) & (probabilities < 1.0))]
     if len(wrong):
         raise ArgumentError(f"{name} is {wrong[0]:g}; it lies between 0 and 1 and is neither: change config")

@@ -1,12 +1,11 @@
-"""What K robots may do at a small table, and what may come of it.
+"""The actions of K robots at a small table, and their possible outcomes.
 
-Of each robot must be known what it is at, how far its object was hidden when it began, for how long it has been at it,
-and which of the ways in which its attempt may end are still open: it has not ended yet, and at the last look the object
-was in the air, or it was not. (That look tells labels of what is held up and of what it no longer hides, so anyone who
-knows the labels knows that.)
+The state of a robot is its action, the occlusion of its object when it began, its elapsed time, and the endings of its
+attempt that are still possible: it has not ended yet, and at the last look the object was in the air or not. (This is
+observed, as that look gives labels of held objects and of the objects that they no longer hide.)
 
-While one robot alone is in motion, nothing else happens, and of how long an attempt takes only the mean counts. Several
-need a law of grasping whose times lie on a grid (`GridGrasping`), so that they may be held against one another.
+With a single robot, no other event intervenes, so only the mean duration of an attempt matters. Several robots need a
+law of grasping with durations on a grid (`GridGrasping`), so that events can be ordered in time.
 """
 
 from collections.abc import Iterator
@@ -25,39 +24,39 @@ from halfseen.world.config import WorldConfig
 from halfseen.world.state import Workspace
 
 FREE, PARKED = -1, -2
-"""Verbs of a robot that is at nothing."""
+"""Verbs of an idle robot."""
 _LEAVING = (PARKED, int(Verb.FINISH))
 _DIGITS = 6
 _MAX_CACHED = 8192
 
 
 class End(NamedTuple):
-    """One way in which an attempt of one of several robots may end."""
+    """One possible ending of an attempt of a robot in a team."""
 
     is_held: bool
     duration_s: float
-    """From begin to end [s]."""
+    """Total duration [s]."""
     share: float
-    """Of this duration, given whether it is held."""
+    """Probability of this duration, given `is_held`."""
 
 
 class Doing(NamedTuple):
-    """What one robot is at."""
+    """What one robot is doing."""
 
     verb: int = FREE
     target: int = 0
     level: int = 0
-    """Index of the occlusion that its object had as it began."""
+    """Index of the occlusion of its object when it began."""
     since_s: float = 0.0
     ends: tuple[End, ...] = ()
-    """Ways in which it may still end by itself."""
+    """Endings that are still possible; none if it does not end by itself."""
 
 
 IDLE = Doing()
 
 
 class Work(NamedTuple):
-    """What all robots are at, robot 0 first."""
+    """What all robots are doing, robot 0 first."""
 
     doings: tuple[Doing, ...]
     to_go: tuple[int, ...]
@@ -65,7 +64,7 @@ class Work(NamedTuple):
 
     @property
     def decider(self) -> int | None:
-        """The robot that decides: of those that are free, the lowest; None where none is."""
+        """The deciding robot: the lowest-numbered free robot; None if none is free."""
         for robot, (doing, to_go) in enumerate(zip(*self, strict=True)):
             if doing.verb == FREE and to_go > 0:
                 return robot
@@ -73,40 +72,40 @@ class Work(NamedTuple):
 
     @property
     def is_watched(self) -> bool:
-        """Whether anybody is still to decide, who does not leave."""
+        """Whether any robot that is not leaving still has a decision to make."""
         return any(to_go and doing.verb not in _LEAVING for doing, to_go in zip(*self, strict=True))
 
     @property
     def is_done(self) -> bool:
-        """Whether no robot will do anything more."""
+        """Whether all robots are done for good."""
         return not any(doing.verb >= 0 or (doing.verb == FREE and to_go) for doing, to_go in zip(*self, strict=True))
 
 
 class Ending(NamedTuple):
-    """One way in which what a robot is at may end, as long as its object is as it is."""
+    """One possible ending of a robot's action, given the statistics of its object."""
 
     end: End
     probability: float
     left_s: float
     """Time until then [s]."""
     paid: float
-    """Price of the seconds included, but not what it pays to have washed an object."""
+    """Reward with the price of the seconds, but without that of having washed an object."""
 
 
 class Outcome(NamedTuple):
-    """One way in which the first thing that ends may end."""
+    """One possible next event."""
 
     probability: float
     reward: Grid | float
-    """On the grid before the look, the price of the seconds until then included."""
+    """On the grid before the look, with the price of the seconds until then."""
     tally: Tally
     work: Work
     held: Held | None
-    """What is in the air at the look that follows; None where nobody decides any more, and it tells nothing of use."""
+    """Objects in the air at the look that follows; None if no decision follows, so that the look is irrelevant."""
 
 
 class Meanwhile(NamedTuple):
-    """What may be known of a robot once another is done."""
+    """One possible state of a robot when another is done."""
 
     probability: float
     doing: Doing
@@ -115,15 +114,14 @@ class Meanwhile(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Team:
-    """What robots may do at one table, and what may come of it.
+    """The actions of robots at one table, and their possible outcomes.
 
     `workspace` is None for one robot that reaches everything.
 
     Raises
     ------
     ArgumentError
-        Robots have laws of their own, or may drop out; or there are several, and their law of grasping is none on a
-        grid.
+        Robots have their own laws or may drop out; or there are several, and their law of grasping is not on a grid.
     """
 
     world: GridWorld
@@ -143,12 +141,12 @@ class Team:
 
     @property
     def config(self) -> WorldConfig:
-        """Of `world`."""
+        """Config of `world`."""
         return self.world.config
 
     @cached_property
     def is_alone(self) -> bool:
-        """Whether nobody else is ever in motion."""
+        """Whether there is only one robot."""
         return self.config.num_robots == 1
 
     @cached_property
@@ -161,7 +159,7 @@ class Team:
 
     @cached_property
     def _ends(self) -> list[tuple[End, ...]]:
-        """Ways in which an attempt of each robot may end; of one alone, only that it holds or not matters."""
+        """Possible endings of an attempt of each robot; for a single robot, only success matters."""
         law, transport_s = self.config.grasping, float(self.config.transport_s)
         if not isinstance(law, GridGrasping) or self.is_alone:
             return [(End(False, np.nan, 1.0), End(True, np.nan, 1.0))]
@@ -176,13 +174,13 @@ class Team:
 
     @cached_property
     def _actions(self) -> list[list[tuple[Verb, int]]]:
-        """Verbs of an attempt on each object, and the action."""
+        """For each object, the verbs of an attempt with their action numbers."""
         space = ActionSpace(self.world.num_objects)
         verbs = (Verb.LIFT, Verb.WASH)
         return [[(verb, int(space.encode(int(verb), cup))) for verb in verbs] for cup in range(space.num_objects)]
 
     def decisions(self, tally: Tally, work: Work) -> Iterator[tuple[int, Work]]:
-        """Go through what the robot that decides may begin, as `possible_actions` has it; and what all are at then."""
+        """Iterate over the possible actions of the deciding robot, as in `possible_actions`, and the resulting work."""
         robot, levels = work.decider, self.world.levels(tally)
         assert robot is not None, "somebody is free"
         before, behind = work.doings[:robot], work.doings[robot + 1 :]
@@ -202,7 +200,7 @@ class Team:
         return space is None or bool(space.is_in_reach[robot, cup] and not space.is_near[at, cup].any())
 
     def outcomes(self, tally: Tally, work: Work) -> Iterator[Outcome]:
-        """Go through all that may happen next, while no robot is free."""
+        """Iterate over the possible next events while no robot is free."""
         is_watched = work.is_watched
         for robot, doing in enumerate(work.doings):
             for ending in self._endings(robot, doing, tally):
@@ -222,7 +220,7 @@ class Team:
                     yield Outcome(probability, reward, after, then, in_the_air if is_watched else None)
 
     def _endings(self, robot: int, doing: Doing, tally: Tally) -> list[Ending]:
-        """Ways in which what a robot is at may end by itself."""
+        """Possible endings of a robot's action."""
         counted = tally[doing.target]
         if doing.verb in (Verb.WASH, Verb.LIFT):
             assert counted is not None, "nobody takes what another is at"
@@ -247,7 +245,7 @@ class Team:
         return endings
 
     def _ended(self, tally: Tally, doing: Doing, ending: Ending) -> tuple[Grid | float, Tally, Doing, Held]:
-        """What comes of what a robot was at: what it pays, the tally, what the robot is at then, and what it holds."""
+        """Result of a robot's ended action: reward, tally, next state of the robot, and the objects that it holds."""
         verb, target, counted = doing.verb, doing.target, tally[doing.target]
         if verb == Verb.FINISH:
             return ending.paid, tally, Doing(PARKED), NOTHING
@@ -263,13 +261,13 @@ class Team:
     def _meanwhile(
         self, tally: Tally, robot: int, doing: Doing, ended: int, passed_s: float, is_watched: bool
     ) -> list[Meanwhile]:
-        """What may be known of a robot when another is done first."""
+        """Possible states of a robot when another is done first."""
         if not doing.ends:
             return [Meanwhile(1.0, IDLE if doing.verb == WAIT else doing)]
         open_ends: dict[bool, list[Ending]] = {}
         for each in self._endings(robot, doing, tally):
             rest_s = each.left_s - passed_s
-            # Of two things that end at once, that of the lower robot ends first.
+            # If two actions end at the same time, that of the lower-numbered robot ends first.
             if rest_s > 0.0 or (rest_s == 0.0 and robot > ended):
                 is_up = is_watched and each.end.is_held and rest_s <= self._transport_s[robot]
                 open_ends.setdefault(is_up, []).append(each)

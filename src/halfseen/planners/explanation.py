@@ -1,22 +1,21 @@
-"""Why an action, by a planner that knows its own error.
+"""Explanations of a decision by a planner with a model of its own error.
 
-What an explanation holds, and how it is read off draws of Q, is `halfseen.world.explanation`'s; here is where a
-planner's draws come from.
+`halfseen.world.explanation` derives an explanation from draws of Q; this module makes a planner's draws.
 
-Q is estimated by rollouts in which the myopic look-ahead decides (`rollout`): too low, as nobody improves on the rule
-after the first action, and noisy. What is known of the optimum is then
+Q is estimated by rollouts that follow the myopic look-ahead (`rollout`). The estimate is noisy, and too low because the
+rollouts do not improve on the rule after the first action. The distribution of the optimum is then
 
     Q*(a) = m(a) + μ + g (e(a) + κ ε + ω(a) ε_a),    Q*(FINISH) = m(FINISH),
 
-with m the mean worth of the rollouts, e its sampling error, of which all actions have their part together, ε and ε_a
-standard normal, and one g for all that makes it Student's t with 5 degrees of freedom: some states are harder than
-others. μ = 0.0034 x^1.5, κ = 0.0092 x, and ω = 0.0117 x for WASH, 0.0037 x for LIFT [reward], with x = h √(1 + σ²),
-where h is the number of steps to go and σ the standard deviation of the worth of one rollout.
+with m the mean value of the rollouts, e its sampling error, correlated between actions, ε and ε_a standard normal, and
+a common factor g that makes the errors Student's t with 5 degrees of freedom, as some states are harder than others.
+μ = 0.0034 x^1.5, κ = 0.0092 x, and ω = 0.0117 x for WASH, 0.0037 x for LIFT [reward], with x = h √(1 + σ²), where h is
+the number of steps to go and σ the standard deviation of the value of one rollout.
 
-The four constants are fitted by maximum likelihood against exact optima of random tables of 3 cups over 6 steps and 2
-cups over 8, in the world's default numbers, and checked on other tables: ``benchmarks/calibration.py``. Beyond such
-sizes and numbers they are extrapolated. An action is best where none is worth more than 1e-9 more, so of actions that
-tie all are; interchangeable objects are known to tie (`halfseen.world.explanation.alike`).
+The four constants are fitted by maximum likelihood to exact optima of random tables of 3 cups over 6 steps and 2 cups
+over 8, with the world's default parameters, and checked on other tables: ``benchmarks/calibration.py``. For other sizes
+and parameters they are extrapolated. In that check, actions within 1e-9 of the largest value all count as best;
+interchangeable objects are tied by construction (`halfseen.world.explanation.alike`).
 """
 
 from dataclasses import dataclass
@@ -40,16 +39,16 @@ SHIFT_POWER = 1.5
 
 
 class PlannerError(NamedTuple):
-    """How far the optimum is from what rollouts say, for each unit of x (shift: of x^1.5) [reward]."""
+    """Error of the rollouts' values against the optimum, per unit of x (shift: of x^1.5) [reward]."""
 
     shift: float
-    """Mean of what the rollouts miss of WASH and LIFT."""
+    """Mean underestimation of WASH and LIFT."""
     common: float
-    """Standard deviation of the error that WASH and LIFT share."""
+    """Standard deviation of the error common to WASH and LIFT."""
     wash: float
-    """Standard deviation of the error of one WASH alone."""
+    """Standard deviation of the individual error of a WASH."""
     lift: float
-    """Standard deviation of the error of one LIFT alone."""
+    """Standard deviation of the individual error of a LIFT."""
 
 
 FITTED_ERROR = PlannerError(shift=0.0034, common=0.0092, wash=0.0117, lift=0.0037)
@@ -58,18 +57,18 @@ FITTED_ERROR = PlannerError(shift=0.0034, common=0.0092, wash=0.0117, lift=0.003
 
 @dataclass(frozen=True, eq=False)
 class Rollouts:
-    """Rollouts of the actions of one table, WASH and LIFT of interchangeable objects counted together.
+    """Rollouts of the actions of one table, pooled over interchangeable objects.
 
     Attributes
     ----------
     worths
-        Of each rollout by each action [reward]; 0 where impossible.
+        Value of each rollout of each action [reward]; 0 if impossible.
     is_possible
         Which actions the state allows.
     first_alike
-        For each action the lowest that is its equal but for the numbering of the objects.
+        For each action, the lowest action equivalent to it up to the numbering of the objects.
     steps_to_go
-        Actions left.
+        Number of actions left.
     """
 
     worths: Float[np.ndarray, "S A"]
@@ -79,12 +78,12 @@ class Rollouts:
 
     @property
     def is_uncertain(self) -> Bool[np.ndarray, " A"]:
-        """Whether an action's worth is not known exactly."""
+        """Whether an action's value is not known exactly."""
         return self.is_possible & (np.arange(len(self.is_possible)) != FINISH)
 
     @property
     def difficulty(self) -> float:
-        """How uncertain the rollouts are, x = h √(1 + σ²)."""
+        """Scale of the rollouts' uncertainty, x = h √(1 + σ²)."""
         variance = np.mean(np.var(self.worths[:, self.is_uncertain], axis=0))
         return self.steps_to_go * float(np.sqrt(1.0 + variance))
 
@@ -92,10 +91,10 @@ class Rollouts:
 def rollouts_of(config: WorldConfig, state: TableState, key: Key, num_rollouts: int) -> Rollouts:
     """Draw rollouts of one table; see `explain`."""
     sampled = np.asarray(sampled_values(config, state, key, num_rollouts), dtype=np.float64)
-    # A verb that the look-ahead does not know is as good as impossible.
+    # A verb that the look-ahead does not know counts as impossible.
     is_possible, first_alike = np.isfinite(sampled[0]), alike(state)
     sampled = np.where(is_possible, sampled, 0.0)
-    # Interchangeable objects are worth the same, so what is learned of one is learned of all.
+    # Interchangeable objects have equal values, so their rollouts are pooled.
     is_equal = first_alike[:, None] == first_alike[None, :]
     worths = sampled @ (is_equal / is_equal.sum(axis=0))
     return Rollouts(worths, is_possible, first_alike, int(state.steps_to_go))
@@ -104,25 +103,25 @@ def rollouts_of(config: WorldConfig, state: TableState, key: Key, num_rollouts: 
 def explain(
     config: WorldConfig, state: TableState, key: Key, *, num_rollouts: int = 512, level: float = 0.9
 ) -> Explanation:
-    """Explain what is best to do at one table: worths with intervals, probabilities of being best, worth of each LIFT.
+    """Explain one table: action values with intervals, probabilities of being best, and the worth of each LIFT.
 
     Parameters
     ----------
     config
-        The world that is believed in.
+        The planner's model of the world.
     state
         One table, with a step to go and an object on it.
     key
-        What is drawn from.
+        Random key of the draws.
     num_rollouts
-        Rollouts of each action; the time taken is in proportion.
+        Rollouts of each action; the time taken is proportional.
     level
-        Probability with which the intervals are to hold.
+        Coverage probability of the intervals.
 
     Returns
     -------
     Explanation
-        Of Q under the best policy. Actions that are worth the same are all best.
+        Explanation of Q under the optimal policy. Equally good actions all count as best.
 
     Raises
     ------
@@ -151,7 +150,7 @@ def explain(
 
 
 def expected_q(rollouts: Rollouts, error: PlannerError) -> Float[np.ndarray, " A"]:
-    """Mean of what Q* may be, m + μ."""
+    """Mean of Q*, m + μ."""
     shift = error.shift * rollouts.difficulty**SHIFT_POWER
     return rollouts.worths.mean(axis=0) + np.where(rollouts.is_uncertain, shift, 0.0)
 
@@ -159,19 +158,19 @@ def expected_q(rollouts: Rollouts, error: PlannerError) -> Float[np.ndarray, " A
 def drawn_q(
     rollouts: Rollouts, error: PlannerError, rng: np.random.Generator, num_draws: int
 ) -> Float[np.ndarray, "B A"]:
-    """Draws from what Q* may be, given rollouts of each action."""
+    """Draws of Q*, given rollouts of each action."""
     num_rollouts, num_actions = rollouts.worths.shape
     weights = rng.standard_normal((num_draws, num_rollouts)) / np.sqrt(num_rollouts * (num_rollouts - 1))
     sampling = weights @ (rollouts.worths - rollouts.worths.mean(axis=0))
     own = rng.standard_normal((num_draws, num_actions))[:, rollouts.first_alike] * own_error(num_actions, error)
     missed = rollouts.difficulty * (error.common * rng.standard_normal((num_draws, 1)) + own)
     wrong = np.where(rollouts.is_uncertain, sampling + missed, 0.0)
-    # g: Student's t is a normal variable times it; its mean square is 1.
+    # g: a normal variable times g is Student's t; its mean square is 1.
     of_each_state = np.sqrt((DEGREES_OF_FREEDOM - 2.0) / rng.chisquare(DEGREES_OF_FREEDOM, (num_draws, 1)))
     return expected_q(rollouts, error) + wrong * of_each_state
 
 
 def own_error(num_actions: int, error: PlannerError) -> Float[np.ndarray, " A"]:
-    """ω / x of each action; 0 for FINISH, which is exact, and for what the look-ahead does not know."""
+    """ω / x of each action; 0 for FINISH, which is exact, and for verbs that the look-ahead does not know."""
     of_verb = {Verb.WASH: error.wash, Verb.LIFT: error.lift}
     return np.array([of_verb.get(Verb(verb), 0.0) for verb in ActionSpace.of_size(num_actions).verbs])

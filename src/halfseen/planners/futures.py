@@ -1,12 +1,12 @@
-"""Futures of a table: what is hidden is drawn from the belief, then played, whichever robot works at it.
+"""Sampled futures of a table: the hidden state is drawn from the belief, then simulated, for one robot or a team.
 
-Where `rollout` moves a belief, a future here moves the world itself, so that all that the transition knows (robots,
-times, prices) counts. Nothing that is truly hidden is read: attributes and grips are drawn as `belief` has them, and
-labels by their probabilities given what is known.
+Unlike `rollout`, which simulates beliefs, a future simulates the world itself, with all effects of the transition
+(robots, times, prices). It never reads the true hidden state: attributes and grips are drawn from the posterior of
+`belief`, and labels from their probabilities given the observations.
 
-Multi-agent rollout: each action of the robot that decides is tried in such futures, in which all robots, this one
-included, go on by a rule; the others' turns to deviate from it come when they decide. To improve a rule one robot at a
-time costs as many tries as the robots have actions, added up and not multiplied [Bertsekas2021]_.
+Multi-agent rollout: each action of the deciding robot is tried in such futures, in which all robots, this one included,
+then follow a rule; the other robots deviate from it at their own decisions. Improving a rule one robot at a time costs
+the sum, not the product, of the robots' numbers of actions [Bertsekas2021]_.
 """
 
 from dataclasses import field, replace
@@ -29,19 +29,19 @@ from halfseen.world.state import HiddenState, Pending, Robots, TableState, occlu
 from halfseen.world.transition import step, until_out_s
 
 NUM_PROPOSALS = 16
-"""Attempts drawn for each robot that is at work; one of those that have not yet ended is taken."""
+"""Attempts drawn for each robot at work; one that has not ended yet is kept."""
 NUM_FUTURES = 32
 Tree = TypeVar("Tree")
 
 
 @record
 class ForeseenSeeing:
-    """Labels by the probabilities of a law, given the truth and what is known: no latent variable is needed."""
+    """Draws labels from a law's probabilities, given the truth and the share seen, without a latent variable."""
 
     law: KnownSeeing
 
     def draw_latent(self, num_objects: int, key: Key) -> None:
-        """No latent variable: what persists is in `Glimpse.seen`."""
+        """No latent variable: the persistent state is in `Glimpse.seen`."""
         return
 
     def look(
@@ -52,7 +52,7 @@ class ForeseenSeeing:
 
 
 def spread(tree: Tree, num: int, axis: int) -> Tree:
-    """Records as often as said, along a new axis."""
+    """Repeat records `num` times along a new axis."""
 
     def each(leaf: Array) -> Array:
         xp, shape = library_of(leaf), np.shape(leaf)
@@ -62,12 +62,12 @@ def spread(tree: Tree, num: int, axis: int) -> Tree:
 
 
 def imagined(config: WorldConfig, state: TableState, key: Key) -> HiddenState:
-    """Draw what is hidden of tables, given all that is seen.
+    """Draw the hidden state of tables from its posterior given the observations.
 
-    Of several robots, too, how what they are at will end: for each, `NUM_PROPOSALS` attempts are drawn, grip and all,
-    as if begun on the table as it is now; one of those that last longer than the robot has been at it is taken
-    (rejection sampling). If none does, the longest is, and ends at once. Whether a robot will drop out is drawn afresh,
-    as a constant hazard remembers nothing.
+    For a team, this includes the endings of the actions in progress. For each robot, `NUM_PROPOSALS` attempts are
+    drawn, with their grips, as if begun on the current table. One that lasts longer than the robot's elapsed time is
+    kept (rejection sampling); if there is none, the longest is kept and ends at once. Drop-out times are redrawn, as a
+    constant hazard is memoryless.
     """
     if state.robots is None:
         return _imagined_table(config, state, key)
@@ -92,7 +92,7 @@ def _imagined_table(config: WorldConfig, state: TableState, key: Key) -> HiddenS
 
 
 def _pending(config: WorldConfig, state: TableState, robots: Robots, robot: int, key: Key) -> tuple[Pending, Any]:
-    """How what one robot carries out will end (`Pending` without the axis of robots), and the grip of its object."""
+    """Draw how a robot's action will end (`Pending` without the robot axis), and the grip of its object."""
     assert state.decider is not None
     xp, never, num_axes = library_of(robots.is_busy), np.float32(np.inf), state.decider.ndim
     verb, target, since_s, is_busy = (
@@ -100,7 +100,7 @@ def _pending(config: WorldConfig, state: TableState, robots: Robots, robot: int,
     )
     is_wait, occluded = verb == WAIT, occlusion(state)
     alone = replace(state, robots=None, workspace=None)
-    # To the table, who waits does nothing, as who finishes.
+    # WAIT, like FINISH, does not act on the table.
     begun = (alone, xp.where(is_wait, Verb.FINISH, verb), target, occluded)
     tables, verbs, targets, occlusions = spread(begun, NUM_PROPOSALS, num_axes)
     grip_key, attempt_key = random.split(random.keys_of(key, NUM_PROPOSALS))
@@ -108,10 +108,10 @@ def _pending(config: WorldConfig, state: TableState, robots: Robots, robot: int,
     drawn = _imagined_table(world, tables, grip_key)
     tried = attempted(world, tables, drawn, verbs, targets, attempt_key, occlusions)
     duration_s = (world.transport_s + tried.duration_s) / config.speed[robot]
-    # Of two that end at once the lower robot ends first, so that a higher one may be at its end.
+    # If two actions end at the same time, that of the lower robot ends first, so a higher robot may be at its end.
     is_later = (robot > state.decider)[..., None]
     goes_on = (duration_s > since_s[..., None]) | ((duration_s == since_s[..., None]) & is_later)
-    # They are alike before they are looked at: the first that goes on is as good as any.
+    # The proposals are exchangeable, so the first that goes on is a valid draw.
     first = xp.where(xp.any(goes_on, axis=-1), xp.argmax(goes_on, axis=-1), xp.argmax(duration_s, axis=-1))
     chosen_s = at(duration_s, first)
     left_s = xp.where(is_wait, never, xp.maximum(chosen_s - since_s, np.float32(0.0)))
@@ -130,10 +130,10 @@ def _pending(config: WorldConfig, state: TableState, robots: Robots, robot: int,
 def less_luck(
     config: WorldConfig, before: TableState, after: TableState, hidden: HiddenState, is_over: Bool[Array, "*B"]
 ) -> Float[Array, "*B"]:
-    """What is to be added to the reward of a stage so that hidden attributes count as far as they are known.
+    """Correction of a stage's reward that replaces hidden attributes by their probabilities.
 
-    Whether an attempt holds tells nothing of DIRTY, so that a stage's rewards are expected to be the same: only their
-    noise falls (Rao–Blackwell).
+    The success of an attempt is independent of DIRTY, so the expected reward does not change: only its variance falls
+    (Rao–Blackwell).
     """
     xp, is_dirty, zero = library_of(is_over), hidden.is_dirty, np.float32(0.0)
     washed = config.reward_wash_dirty - config.reward_wash_clean
@@ -151,12 +151,11 @@ def future_rewards(
     num_futures: int,
     tried: Bool[Array, "*B A"] | None = None,
 ) -> Float[Array, "*B S A"]:
-    """Reward to the trajectory's end of each action followed by a policy, in each of S futures; −∞ if not tried.
+    """Reward until the end of each action, followed by a policy, in each of S futures; −∞ if not tried.
 
-    All actions meet the same hidden truth and the same draws.
+    All actions share the hidden state and the random draws (common random numbers).
 
-    `policy` decides ever after, for all robots; `tried` says which of the possible actions are tried, by default
-    all.
+    `policy` then decides for all robots; `tried` selects among the possible actions, by default all.
     """
     xp, num_axes = library_of(state.is_on_table), state.steps_to_go.ndim
     wanted: Any = possible_actions(state) if tried is None else tried
@@ -165,7 +164,7 @@ def future_rewards(
     hidden = imagined(config, states, hidden_key)
     rows = np.nonzero(is_tried) if xp is np else tuple(xp.indices(is_tried.shape).reshape(is_tried.ndim, -1))
     begin = mapped(lambda leaf: leaf[rows[:-1]], (states, hidden, world_key, policy_key))
-    # Labels come from what is known, and no longer from what is hidden.
+    # Labels are drawn from their probabilities, not from the law's latent variable.
     foreseen = replace(config, seeing=ForeseenSeeing(known_seeing(config)))
     total = _played(foreseen, *begin, rows[-1].astype(np.int32), policy)
     if xp is not np:
@@ -184,7 +183,7 @@ def _played(
     action: Int[Array, " R"],
     policy: Policy,
 ) -> Float[Array, " R"]:
-    """What each row earns to its end; in NumPy, rows that are over are left out of what is computed."""
+    """Total reward of each row until its end; NumPy drops the rows that are over."""
     xp = library_of(state.is_on_table)
     total, goes_on, number = (
         xp.zeros(len(action), dtype=np.float32),
@@ -211,20 +210,20 @@ def _played(
 
 @record
 class RolloutPolicy:
-    """Takes the action that a rule of all robots, followed ever after, makes worth most.
+    """Takes the action with the largest value if all robots follow a rule afterwards.
 
-    It leaves the rule's own action only for one that did better over the same futures by `caution` standard errors.
+    It deviates from the rule's action only for one that is better over the same futures by `caution` standard errors.
 
     Parameters
     ----------
     config
-        The world and the robots that it believes in.
+        Its model of the world and the robots.
     rule
-        What all robots follow afterwards.
+        Policy of all robots afterwards.
     num_futures
-        Futures in which each action is tried, ≥ 2.
+        Number of futures in which each action is tried, ≥ 2.
     caution
-        Standard errors by which another action must be better than the rule's.
+        Required advantage over the rule's action, in standard errors.
 
     Raises
     ------
@@ -249,12 +248,12 @@ class RolloutPolicy:
         return self.config.num_robots
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose for each table; the futures draw from `key` (the probability of a choice is not known)."""
+        """Choose for each table; the futures draw from `key` (the propensity is unknown)."""
         future_key, rule_key = random.split(key)
         by_rule = self.rule.decide(state, rule_key).action
         rewards = future_rewards(self.config, state, self.rule, future_key, self.num_futures)
         xp, is_possible = library_of(rewards), possible_actions(state)
-        # What is impossible is worth −∞ in every future, which no mean is to be made of.
+        # Impossible actions are −∞ in every future, which must not enter a mean.
         rewards = xp.where(is_possible[..., None, :], rewards, np.float32(0.0))
         gained = rewards - at(rewards, by_rule[..., None])[..., None]
         error = xp.std(gained, axis=-2) / np.float32(np.sqrt(self.num_futures - 1.0))

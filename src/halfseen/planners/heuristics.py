@@ -1,12 +1,11 @@
-"""Rules of thumb: wash what promises most now, stop when nothing promises anything. They never lift to look.
+"""Rules of thumb: wash the most promising object now, and stop when none is worth it. They never LIFT.
 
-`GreedyPolicy` is the rule of one robot. Of several, whatever a robot begins is reserved: nobody else touches it, nor
-what is near it (`actions`). `ReservingPolicy` is as strong a plain rule as we know. `TeamOfRules` knows no price of
-time, and `RoundRobin` and `OneAtATime` coordinate less; a team's policy is to beat them all.
+`GreedyPolicy` is the rule for one robot. In a team, the target of a robot is reserved: no other robot may take it, nor
+an object near it (`actions`). `ReservingPolicy` is the strongest simple rule that we know. `TeamOfRules` ignores the
+price of time, and `RoundRobin` and `OneAtATime` coordinate less; a team's policy should beat them all.
 
-Where the world that a rule believes in has a law of grasping for each robot (`TableWorld.played_config`), an attempt
-is worth what it is by the law of the robot that decides, and a past attempt tells of a grip what the law of the robot
-says that made it.
+If the model of a rule has a law of grasping for each robot (`TableWorld.played_config`), the value of an attempt
+follows the law of the deciding robot, and the evidence of a past attempt that of the robot that made it.
 """
 
 from dataclasses import field, replace
@@ -27,14 +26,14 @@ from halfseen.world.state import TableState, occlusion
 
 @record
 class TrueGrasp:
-    """The true probability of a grasp, the hidden grip offset integrated out: a `GraspModel` that knows the world.
+    """A `GraspModel` with the world's true success probability, with the hidden grip offset integrated out.
 
     Parameters
     ----------
     config
         The world.
     uses_history
-        Whether the grip offset's distribution is the posterior given the object's past attempts, or the prior.
+        Whether to use the posterior of the grip offset given the object's past attempts, or the prior.
     """
 
     config: WorldConfig
@@ -53,13 +52,13 @@ class GreedyPolicy:
     Parameters
     ----------
     config
-        The world that it believes in.
+        Its model of the world.
     uses_history
-        Whether the probability of a grasp is updated by the object's past attempts, or is the prior's at its occlusion.
+        Whether the success probability is updated by the object's past attempts, or is that of the prior.
     counts_penalty
-        Whether the FINISH penalty that a successful WASH avoids is counted; that makes the rule much stronger.
+        Whether to count the FINISH penalty that a successful WASH avoids; this makes the rule much stronger.
     grasp
-        What tells the probability of a grasp in place of the true model; it needs `uses_history`.
+        Grasp model that replaces the true one; it needs `uses_history`.
 
     Raises
     ------
@@ -79,7 +78,7 @@ class GreedyPolicy:
             raise ArgumentError("grasp is given and uses_history is False; a grasp model looks at the history")
 
     def worth(self, state: TableState) -> Float[Array, "*B N"]:
-        """Expected reward of an attempt to WASH each object; −∞ where it does not stand on the table."""
+        """Expected reward of an attempt to WASH each object; −∞ if it is not on the table."""
         grasp = TrueGrasp(self.config, self.uses_history) if self.grasp is None else self.grasp
         config, is_dirty, probability = self.config, expit(state.log_odds), grasp.probability(state)
         reward_dirty = config.reward_wash_dirty - self.counts_penalty * config.reward_dirty_left
@@ -88,7 +87,7 @@ class GreedyPolicy:
         return library_of(worth).where(state.is_on_table, worth, np.float32(-np.inf))
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose for each table; nothing is drawn."""
+        """Choose for each table; deterministic."""
         worth = self.worth(state)
         xp = library_of(worth)
         wash = ActionSpace(state.num_objects).encode(Verb.WASH, xp.argmax(worth, axis=-1))
@@ -97,42 +96,42 @@ class GreedyPolicy:
 
 @record
 class _OfTeam:
-    """A rule of a team that builds on the `rule` of thumb of one robot."""
+    """A rule for a team, built on the `rule` of thumb for one robot."""
 
     rule: GreedyPolicy
 
 
 @record
 class TeamOfRules(_OfTeam):
-    """Every robot washes what promises most of what nobody else is at; it waits where that may change, or finishes.
+    """Every robot washes its most promising free object; else it waits for a promising blocked one, or finishes.
 
     Parameters
     ----------
     rule
-        The rule of thumb of one robot.
+        The rule of thumb for one robot.
     """
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose for each table; nothing is drawn."""
+        """Choose for each table; deterministic."""
         gain = _worth(self.rule, state)
         return _chosen(state, gain, gain)
 
 
 @record
 class ReservingPolicy:
-    """Every robot washes what gains more than its time costs, by preference what it alone reaches.
+    """Every robot washes objects that gain more than their time costs, preferably those that only it reaches.
 
-    A table's second is shared by the robots that go on: an attempt costs its expected seconds divided by their number.
-    What others reach too, they may spare the robot: its own time for it counts against beginning with it, but not
-    against doing it at all. A robot to which nothing is free that is worth it waits if something in another's hands or
-    way is, and finishes otherwise.
+    Robots share the table's time: an attempt costs its expected seconds divided by the number of robots that go on. An
+    object that others reach too may be left to them: its time counts against washing it first, but not against washing
+    it at all. If no free object is worth it, a robot waits for a worthwhile object that another robot blocks, and
+    finishes otherwise.
 
     Parameters
     ----------
     config
-        The team that it believes in, with the price of time.
+        Its model of the team, with the price of time.
     rule
-        The rule of thumb of one robot, which tells what an attempt is worth.
+        The rule of thumb for one robot, which values an attempt.
     """
 
     config: WorldConfig
@@ -144,13 +143,13 @@ class ReservingPolicy:
         return self.config.num_robots
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose for each table; nothing is drawn."""
+        """Choose for each table; deterministic."""
         others, worth, world = others_of(state), _worth(self.rule, state), self.config.as_robot(state.decider)
         xp, grip = library_of(worth), prior_grip(state.grip)
         if self.rule.uses_history:
             grip = grip_posterior(world, state)
         speed = xp.asarray(self.config.speed, dtype=np.float32)[state.decider]
-        # Of the time that it is expected to take for each object, if nobody shares it.
+        # Price of the expected time for each object, if no other robot shares it.
         price = -(self.config.reward_per_s * expected_attempt_s(world, occlusion(state), grip) / speed[..., None])
         gain = worth - price / (1 + xp.sum(others.goes_on, axis=-1)).astype(np.float32)[..., None]
         preferred = xp.where(others.reached, gain - price, gain)
@@ -159,18 +158,18 @@ class ReservingPolicy:
 
 @record
 class RoundRobin(_OfTeam):
-    """Objects are dealt to the robots in turn: each clears its own as if alone, and nobody helps.
+    """Objects are dealt to the robots in turn: each clears its own as if alone, without help.
 
-    Object i falls to the (i modulo their number)-th of the robots that reach it and go on.
+    Of the robots that reach object i and go on, the (i modulo their number)-th gets it.
 
     Parameters
     ----------
     rule
-        The rule of thumb of one robot.
+        The rule of thumb for one robot.
     """
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose for each table; nothing is drawn."""
+        """Choose for each table; deterministic."""
         assert state.workspace is not None
         xp = library_of(state.is_on_table)
         goes_on = is_decider(state) | others_of(state).goes_on
@@ -183,26 +182,26 @@ class RoundRobin(_OfTeam):
 
 @record
 class OneAtATime(_OfTeam):
-    """One robot works while the others wait: the lowest of those that go on, until nothing promises anything to it.
+    """One robot works while the others wait: the lowest-numbered that goes on, until no object is worth it.
 
-    It keeps its turn, as nobody can wait for who is not yet at work. Waiting costs decisions, so that a robot may have
-    none left when its turn comes.
+    It keeps its turn, because a robot can only wait for one that is at work. Waiting costs decisions, so a robot may
+    have none left at its turn.
 
     Parameters
     ----------
     rule
-        The rule of thumb of one robot.
+        The rule of thumb for one robot.
     """
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose for each table; nothing is drawn."""
+        """Choose for each table; deterministic."""
         gain, wait = _worth(self.rule, state), wait_of(state.num_objects)
         of_turn = _chosen(state, gain, gain)
         return surely(library_of(gain).where(possible_actions(state)[..., wait], wait, of_turn.action))
 
 
 def _worth(rule: GreedyPolicy, state: TableState) -> Float[Array, "*B N"]:
-    """What an attempt at each object is worth by the robot that decides; −∞ where it does not reach it."""
+    """Expected reward of the deciding robot's attempt at each object; −∞ if out of its reach."""
     assert state.workspace is not None
     worth = replace(rule, config=rule.config.as_robot(state.decider)).worth(state)
     is_reached = of_robot(state.workspace.is_in_reach, state.decider)
@@ -210,7 +209,7 @@ def _worth(rule: GreedyPolicy, state: TableState) -> Float[Array, "*B N"]:
 
 
 def _chosen(state: TableState, gain: Float[Array, "*B N"], preferred: Float[Array, "*B N"]) -> Decision:
-    """WASH the preferred of what is free and gains; else WAIT where something gains that is not free; else FINISH."""
+    """WASH the preferred free object with a gain; else WAIT if a blocked object has a gain; else FINISH."""
     xp, is_possible, actions = library_of(gain), possible_actions(state), ActionSpace(state.num_objects)
     wait = wait_of(state.num_objects)
     is_worth_it = is_possible[..., actions.of(Verb.WASH)] & (gain > 0.0)

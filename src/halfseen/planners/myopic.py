@@ -1,10 +1,10 @@
-"""A look one step ahead for the robot that decides, with WAIT among its actions and the seconds paid.
+"""The myopic look-ahead for the deciding robot of a team, with WAIT among its actions and the price of time.
 
-It is the look of `one_step`. What lies beyond the step is tried by the fastest robot that reaches it and has a decision
-left, and costs the price of its seconds, too. Where robots have laws of grasping of their own, it is tried by the one
-of them to which that is worth the most. What another robot is washing counts for nobody, as it is tried already.
-FINISH leaves to the others what they reach. WAIT gains the labels of the next look for the seconds in which this robot
-is idle. While n robots go on, a second of one is taken to add 1/n of it to the table's clock.
+It extends the look-ahead of `one_step`. Later tries are made by the fastest robot that reaches the object and has a
+decision left, and cost the price of its seconds. If robots have their own laws of grasping, the robot with the largest
+gain makes the try. Objects that another robot is washing are not tried again. FINISH leaves to the others the objects
+that they reach. WAIT gains the labels of the next look, at the cost of this robot's idle seconds. While n robots go on,
+a second of one robot is assumed to add 1/n second to the table's clock.
 """
 
 from typing import NamedTuple
@@ -21,31 +21,31 @@ from halfseen.world.policy import ByValue
 from halfseen.world.state import Robots, TableState
 
 LEAST_LEFT = 0.3
-"""What is at least expected to be left of an attempt that goes on, as a share of its expected time."""
+"""Lower bound on the expected remaining time of an attempt in progress, as a share of its expected time."""
 OUT_OF_REACH = np.float32(1e30)
-"""Price of a try that nobody can make."""
+"""Price of a try that no robot can make."""
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
 @record
 class MyopicPolicy(ByValue):
-    """The best action by a look one step ahead.
+    """Takes the best action by the myopic look-ahead.
 
     Parameters
     ----------
     config
-        The world that it believes in, with the price of time.
+        Its model of the world, with the price of time.
     """
 
     config: WorldConfig
 
     @property
     def num_robots(self) -> int | None:
-        """K; any where one works alone."""
+        """K; None, for any number, if the model has a single robot."""
         return self.config.num_robots if self.config.num_robots > 1 else None
 
     def q_values(self, state: TableState) -> Float[Array, "*B A"]:
-        """Worth of each action, WAIT last, above leaving all as it is; −∞ where it is impossible."""
+        """Value of each action, WAIT last, relative to leaving all objects; −∞ if impossible."""
         if state.robots is None:
             q = one_step.one_step_q(self.config, state)
             return q - q[..., :1]
@@ -53,12 +53,12 @@ class MyopicPolicy(ByValue):
 
 
 class _AtWork(NamedTuple):
-    """Robots that go on, at a table."""
+    """Robots of a table that go on."""
 
     effort: tuple[Float[Array, " N *B"], ...]
-    """Price of the seconds of a try by the fastest of them that reaches it and has a decision left, under each law."""
+    """Price of the time of a try by the fastest of them that reaches it and has a decision left, under each law."""
     num_decisions: Int[Array, "*B"]
-    """That they have after this one."""
+    """Number of their decisions after this one."""
     reward_per_s: Float[Array, "*B"]
     """Price of a second of one of them [1/s]."""
 
@@ -71,7 +71,7 @@ def _q_of_team(config: WorldConfig, state: TableState, robots: Robots, others: O
     robot = state.decider if config.has_own_laws else xp.zeros_like(state.decider)
     table = one_step.table_of(config, state)
     setting = one_step.setting_of(laws, table, robot)
-    # What another washes hides and is seen, but nobody tries it.
+    # An object that another robot washes hides others and is seen, but is not tried.
     look = one_step.outlook_of(config, table, setting._replace(label=setting.label * ~_washed(state, robots, others)))
     seconds = config.transport_s + xp.stack([each[one_step.ATTEMPT_S] for each in look.expected])
     everyone = others.goes_on | is_decider(state)
@@ -80,7 +80,7 @@ def _q_of_team(config: WorldConfig, state: TableState, robots: Robots, others: O
     tries = one_step.tries_after(one_step.tries_then(config, look, with_me.effort))
     gains = one_step.limited(tries, with_me.num_decisions)
     values = one_step.attempts_worth(config, look, gains[None], own_s, with_me.reward_per_s)
-    # Anyone who is last to leave ends the trajectory, and nothing is looked at any more.
+    # The last robot to leave ends the trajectory, without a further look.
     finish = _value_now(config, look, without_me) * xp.any(others.goes_on, axis=-1)
     wait = _value_now(config, look, with_me) + with_me.reward_per_s * _wait_s(config, robots, others, seconds)
     q = xp.concatenate([one_step.laid_out(finish, values), wait[..., None]], axis=-1)
@@ -88,7 +88,7 @@ def _q_of_team(config: WorldConfig, state: TableState, robots: Robots, others: O
 
 
 def _washed(state: TableState, robots: Robots, others: Others) -> Bool[Array, " N *B"]:
-    """What another robot is washing."""
+    """Objects that another robot is washing."""
     xp = library_of(robots.target)
     is_target = robots.target[..., None] == xp.arange(state.num_objects)
     is_washing = (others.is_at_object & (robots.verb == Verb.WASH))[..., None]
@@ -122,7 +122,7 @@ def _value_now(config: WorldConfig, look: Outlook, team: _AtWork) -> Float[Array
 
 
 def _wait_s(config: WorldConfig, robots: Robots, others: Others, seconds: Float[Array, "L N *B"]) -> Float[Array, "*B"]:
-    """Time until the first of the other robots is expected to be done; 0 where none is at work [s]."""
+    """Expected time until the first of the other robots is done; 0 if none is at work [s]."""
     xp = library_of(robots.since_s)
     speed = xp.asarray(config.speed, dtype=np.float32)
     of_robots = xp.broadcast_to(seconds, (robots.num_robots, *seconds.shape[1:]))

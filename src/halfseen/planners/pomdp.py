@@ -1,14 +1,14 @@
-"""Planning with a known model, h steps ahead in the space of beliefs: the planner of the table as a policy.
+"""Planning with a known model, h steps ahead in belief space: the planner of the table as a policy.
 
-Q_1 is the myopic look-ahead of `one_step`. Further ahead, Q_h(b, a) is the worth of action a and then of h − 1 actions
-by that look-ahead, the last of them worth Q_1, which stands for all that comes after; by rollouts (`rollout`). With h
-as long as the trajectory, the number of rollouts is all that bounds it.
+Q_1 is the myopic look-ahead of `one_step`. For larger h, Q_h(b, a) is the value, by rollouts (`rollout`), of action a
+followed by h − 1 actions of that look-ahead; the last is valued by Q_1, which includes all later rewards. If h is the
+full trajectory, only the number of rollouts limits the accuracy.
 
-`POMDPPolicy` has a number of rollouts to spend on each table; `plan`, which decides at one table, that or seconds.
-Seconds are spent on the same rounds of sequential halving, each of which ends by the clock. No more is begun than is
-expected to end in time, by the pace so far; so a plan is late by less than the chunk of rollouts that was slower than
-those before it. Where not even the first batch fits, the myopic look-ahead decides, and the plan says so. Nothing is
-compiled, so that the first call is as fast as the others, but for what Python loads.
+`POMDPPolicy` has a budget of rollouts per table; `plan`, for a single table, one of rollouts or of seconds. A time
+budget is spent on the same rounds of sequential halving, each with its own deadline. Rollouts begin only if, at the
+pace so far, they are expected to end in time, so a plan overruns by less than one slow chunk of rollouts. If not even
+the first batch fits, the myopic look-ahead decides, and the plan reports this. Nothing is compiled, so the first call
+is as fast as the others, except for Python imports.
 """
 
 import math
@@ -34,21 +34,21 @@ NUM_SIMULATIONS = 256
 
 @record
 class POMDPPolicy:
-    """The best action by a look of `planning_horizon` steps ahead.
+    """Takes the best action by a look-ahead of `planning_horizon` steps.
 
     Parameters
     ----------
     config
-        The world that it believes in.
+        Its model of the world.
     planning_horizon
         h, ≥ 1.
     num_simulations
-        Rollouts a decision, about, of all actions together, ≥ 1; a look of one step takes none, whatever is given.
+        Approximate number of rollouts per decision, over all actions, ≥ 1; ignored if h is 1, which needs none.
 
     Raises
     ------
     ArgumentError
-        A number is below 1, or the horizon is no whole number.
+        A number is below 1, or the horizon is not a whole number.
     """
 
     config: WorldConfig
@@ -68,40 +68,40 @@ class POMDPPolicy:
                 raise ArgumentError(f"{name} is {getattr(self, name)}; it is at least 1")
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose for each table; the rollouts draw from `key` (the probability of a choice is not known)."""
+        """Choose for each table; the rollouts draw from `key` (the propensity is unknown)."""
         q = self.q_values(state, key)
         xp = library_of(q)
         return Decision(xp.argmax(q, axis=-1).astype(np.int32), xp.full(q.shape[:-1], np.nan, dtype=np.float32))
 
     def q_values(self, state: TableState, key: Key) -> Float[Array, "*B A"]:
-        """Q_h of every action; −∞ where an action is impossible."""
+        """Q_h of every action; −∞ if impossible."""
         if self.num_simulations == 0:
             return one_step_q(self.config, state)
         return searched_values(self.config, state, key, self.num_simulations, int(self.planning_horizon))
 
 
 BATCH = 24
-"""Rollouts that are begun at once, at least, as fewer take as long; more advance side by side as there is time."""
+"""Least number of rollouts begun at once, as fewer are no faster; with more time, more batches run side by side."""
 LOOKS_PER_STEP = 1.2
-"""How many times as long as to open a search a step of a batch takes, about, before one was timed."""
+"""Initial estimate of the duration of one step of a batch, relative to that of opening the search."""
 SHARE_OF_TIME_LEFT = 0.5
-"""What a chunk of batches is expected to take of what is left to its round."""
+"""Expected duration of a chunk of batches, as a share of the time left to its round."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A decision, what it is worth, and what it took.
+    """A decision with its action values and costs of computation.
 
     Attributes
     ----------
     action
         The best action.
     values
-        Q of each action [reward]; −∞ where it is impossible.
+        Q of each action [reward]; −∞ if impossible.
     num_rollouts
-        Of each action; none of FINISH, whose worth is known.
+        Number of rollouts of each action; 0 for FINISH, whose value is known.
     elapsed_s
-        Time from call to answer [s].
+        Wall-clock time of the call [s].
     """
 
     action: int
@@ -124,23 +124,23 @@ def plan(
     seconds: float | None = None,
     planning_horizon: int | None = None,
 ) -> Plan:
-    """Search for the best action of one table until rollouts or time are used up.
+    """Search for the best action of one table within a budget of rollouts or time.
 
     Parameters
     ----------
     config
-        The world that is believed in.
+        The planner's model of the world.
     state
         One table, with a step to go and an object on it.
     key
-        What is drawn from: the same key and number of rollouts give the same values.
+        Random key: the same key and number of rollouts give the same values.
     num_simulations
-        Rollouts of all actions together, about, ≥ 1. Give this or `seconds`.
+        Approximate number of rollouts over all actions, ≥ 1. Give this or `seconds`.
     seconds
-        Wall-clock time, above 0 [s].
+        Wall-clock time, positive [s].
     planning_horizon
-        Actions of a rollout, ≥ 1, the last of which is valued by the myopic look-ahead; 1 draws nothing. By default,
-        to the end of the trajectory.
+        Number of actions of a rollout, ≥ 1, the last of which is valued by the myopic look-ahead; 1 draws nothing. By
+        default, to the end of the trajectory.
 
     Raises
     ------
@@ -182,7 +182,7 @@ def _grown(
     batches: tuple[int, int],
     planning_horizon: int,
 ) -> Search:
-    """The search after some batches of a round, in which so many of the actions that promise most are left."""
+    """Add some batches of a round to the search, with the `size` most promising actions left."""
     left, lane = search.num_left(size), np.arange(BATCH * batches[0], BATCH * batches[1])
     keys = random.fold_in(round_key, np.arange(lane[0] // left[0], lane[-1] // left[0] + 1))[None]
     steps = num_steps(planning_horizon, int(search.table.steps_to_go[0]))
@@ -191,9 +191,9 @@ def _grown(
 
 
 def _timed(search: Search, key: Key, planning_horizon: int, begin_s: float, end_s: float) -> Search:
-    """Halve by the clock: a first batch for the pace, then as many rounds as that leaves time for.
+    """Sequential halving by the clock: a first batch measures the pace, which sets the number of rounds.
 
-    In each round, rollouts of the actions that are left are drawn until no batch fits.
+    Each round draws rollouts of the remaining actions until no further batch fits.
     """
     opened_s = time.perf_counter()
     steps = num_steps(planning_horizon, int(search.table.steps_to_go[0]))

@@ -1,17 +1,17 @@
-"""What nobody can beat on a table of any size: the value to one who is told more [BrownSmithSun2010]_.
+"""An upper bound on the value of every policy, by information relaxation [BrownSmithSun2010]_.
 
-Anyone who is told more can do no worse. Three informants are here, each of which tells more than the one before:
+A policy with more information can do no worse. There are three relaxations, each revealing more than the one before:
 
-- ``"looks"`` tells before the first action how well each object is gripped, and what as many looks at each object as
-  the horizon allows would say if nothing hid it. No policy sees more labels, nor better ones: a label from behind
-  another object is as good as one in full view that is sometimes turned round at random. Where errors persist, it tells
-  what would be found in every view that an object of the table can have, from the most hidden to the one in the hand:
-  views are nested, so anyone who sees some of them can tell no more;
-- ``"hidden"`` tells which objects are dirty instead;
-- ``"everything"`` tells the time that every grasp will take as well: the exponential draw of every step.
+- ``"looks"`` reveals, before the first action, the grip offset of each object, and the labels of as many looks at it as
+  the horizon allows, in full view. No policy sees more labels, nor better ones: the label of an occluded object is
+  equivalent to one in full view that is randomly flipped. If errors persist, it reveals the labels of every possible
+  view of an object, from the most hidden to the one in the hand: views are nested, so a subset of them has no more
+  information;
+- ``"hidden"`` reveals which objects are dirty instead;
+- ``"everything"`` also reveals the duration of every grasp: the exponential draw of every step.
 
-Then no label adds anything, and a state is the set of objects on the table and the steps to go: 2^N sets, valued
-backwards for many draws of what is told at once.
+Labels then add no information, and a state is the set of objects on the table and the steps to go: 2^N sets, with
+backward induction for many draws of the revealed information at once.
 """
 
 from itertools import product
@@ -31,10 +31,10 @@ from halfseen.world.seeing import is_independent
 
 MAX_OBJECTS = 12
 MAX_ENUMERATED = 20_000
-"""Number of things that may be told up to which all of them are gone through, where grip offsets lie on a grid."""
+"""Limit up to which the possible revealed information is enumerated, if grip offsets lie on a grid."""
 _CELLS_AT_ONCE = 2_000_000
 REVEALED = ("looks", "hidden", "everything")
-"""What an informant may tell, from little to much."""
+"""Relaxations, from the least to the most information."""
 
 
 class RelaxationBound(NamedTuple):
@@ -42,7 +42,7 @@ class RelaxationBound(NamedTuple):
 
     value: float
     standard_error: float
-    """Of `value`, from the number of draws; 0 where nothing was drawn."""
+    """Standard error of `value` over the draws; 0 if it was enumerated."""
 
 
 def information_relaxation_bound(
@@ -54,7 +54,7 @@ def information_relaxation_bound(
     num_grip_nodes: int | None = None,
     reveals: str = "looks",
 ) -> RelaxationBound:
-    """Bound what any policy can earn on a table, from above.
+    """Compute an upper bound on the expected reward of any policy on a table.
 
     Parameters
     ----------
@@ -63,16 +63,16 @@ def information_relaxation_bound(
     config
         The world.
     horizon
-        Steps that a trajectory may have, by default the world's.
+        Largest number of steps of a trajectory, by default the world's.
     num_samples
-        Number of draws of what is told.
+        Number of draws of the revealed information.
     seed
-        Of the draws.
+        Random seed of the draws.
     num_grip_nodes
-        Grip offsets lie on this many Gauss–Hermite nodes, as for `solve_table`; by default they are normal, as in the
-        world. On a grid nothing is drawn if no more than `MAX_ENUMERATED` things may be told, times apart.
+        Number of Gauss–Hermite nodes of the grip offsets, as in `solve_table`; by default offsets are normal, as in the
+        world. On a grid, up to `MAX_ENUMERATED` cases are enumerated instead of drawn, unless durations are revealed.
     reveals
-        What the informant tells, one of `REVEALED`; "looks" gives the tightest bound.
+        The relaxation, one of `REVEALED`; "looks" gives the tightest bound.
 
     Returns
     -------
@@ -82,7 +82,7 @@ def information_relaxation_bound(
     Raises
     ------
     ArgumentError
-        A number is out of its range, `reveals` is unknown or does not fit the world's laws, or there are more than
+        A number is out of range, `reveals` is unknown or does not fit the world's laws, or there are more than
         `MAX_OBJECTS` objects.
 
     Examples
@@ -136,7 +136,7 @@ def _check_revealed(config: WorldConfig, reveals: str) -> None:
 def _told_of_dirt(
     world: GridWorld, horizon: int, reveals: str
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """P(DIRTY) of one object after each thing that may be told of it, and how likely that is."""
+    """P(DIRTY) of one object given each possible revelation, and the probability of each."""
     from scipy.stats import binom
 
     dirty_share = float(world.config.dirty_share)
@@ -158,7 +158,7 @@ def _told_of_dirt(
 
 
 def _told_by_all_views(labels: Labels) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """P(DIRTY) of one object after a look in every view, the most hidden first, and how likely that is."""
+    """P(DIRTY) of one object given the labels of every view, the most hidden first, and their probabilities."""
     looks, mass = labels.nothing, np.ones(1)
     for view in np.lexsort((-labels.views.occluded, labels.views.is_held)).tolist():
         look = labels.look(looks, view)
@@ -175,9 +175,9 @@ def _values(
     horizon: int,
     paces: np.random.Generator | None,
 ) -> Float[np.ndarray, " n"]:
-    """Value of each thing told to the informed, all objects on the table and the whole horizon to go.
+    """Value given each draw of the revealed information, with all objects on the table and the whole horizon to go.
 
-    Told are P(DIRTY), the grip offset, and, where `paces` are drawn, the exponential draw of each step.
+    Revealed are P(DIRTY), the grip offset and, if `paces` are drawn, the exponential draw of each step.
     """
     num_objects, config, law = dirty.shape[1], world.config, world.grasping
     sets = np.arange(2**num_objects)

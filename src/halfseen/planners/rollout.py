@@ -1,19 +1,19 @@
-"""What an action is worth if a stated rule decides ever after, by rollouts.
+"""Q of a fixed rule by rollouts: the value of an action if the rule decides afterwards.
 
-The rule is the myopic look-ahead of `one_step`, π(b) = argmax Q_1(b, ·). The best action by Q^π is far better than π
-itself: one improvement of a rule is most of what there is to gain [BertsekasCastanon1999]_.
+The rule is the myopic look-ahead of `one_step`, π(b) = argmax Q_1(b, ·). The best action by Q^π is far better than that
+of π: one policy improvement gives most of the possible gain [BertsekasCastanon1999]_.
 
-A rollout is a trajectory of beliefs b_0, b_1, … that begins with action a_0 and then follows π. Its worth is
+A rollout is a trajectory of beliefs b_0, b_1, … that begins with action a_0 and then follows π. Its value is
 
     Q°(b_0, a_0) + Σ_{t≥1} A°(b_t, a_t),    A°(b, a) = Q°(b, a) − V°(b),    Q°(b, a) = E[R + V°(b')],
 
-a control variate in place of the rewards themselves: V° lets every object be left or tried once, however few steps
-remain, and Q° is Q_1 for unlimited steps, then exact in closed form. So the mean is Q^π(b_0, a_0) whatever V° is; and
-as V° is near V^π, the advantages A° are small and little noise is left. With one step to go Q_1 is exact and nothing is
-drawn. All actions meet the same draws.
+with a control variate in place of the rewards: V° lets every object be left or tried once, without a limit on steps,
+and Q° is Q_1 for unlimited steps, exact in closed form. The mean is Q^π(b_0, a_0) for any V°; as V° is near V^π, the
+advantages A° are small and little noise remains. With one step to go, Q_1 is exact and nothing is drawn. All actions
+share the same draws.
 
-Each lane, along the last axis R of arrays, is one trajectory. All rollouts of all tables advance together, a step at a
-time; with NumPy those that are over are left out.
+Each lane, along the last axis R of arrays, is one trajectory. All rollouts of all tables advance together, one step at
+a time; NumPy drops those that are over.
 """
 
 from dataclasses import replace
@@ -34,15 +34,15 @@ from halfseen.world.seeing import AssumedSeeing
 from halfseen.world.state import TableState
 
 MOST_SETS = 64
-"""Sets of objects of one table for which it pays to find at once what each makes of attempts."""
+"""Largest number of object sets of one table for which precomputing all settings pays off."""
 SPARED = 24
-"""Trajectories that are over for which it does not pay to leave them out."""
+"""Number of ended trajectories up to which dropping them does not pay off."""
 _ZERO, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.finfo(np.float32).tiny
 Tree = TypeVar("Tree")
 
 
 def draws_of(key: Key, num_steps: int, num_objects: int) -> Float[Array, "steps draws *K"]:
-    """Draw uniformly for so many steps from each key: first for the grasp, then for the label of each object."""
+    """Draw uniform numbers for `num_steps` steps from each key: first for the grasp, then for each object's label."""
     before = [key]
     for _ in range(num_steps - 1):
         before.append(random.fold_in(before[-1], 0))
@@ -53,20 +53,20 @@ def draws_of(key: Key, num_steps: int, num_objects: int) -> Float[Array, "steps 
 
 
 def picked(tree: Tree, lanes: Int[Array, " R"]) -> Tree:
-    """Some lanes of records."""
+    """Select lanes of records."""
     return mapped(lambda leaf: leaf.take(lanes, axis=-1), tree)
 
 
 class Settings(NamedTuple):
-    """What each set of the objects that stand on one table now would make of attempts and labels."""
+    """Precomputed settings of all subsets of the objects now on one table."""
 
     bit: Int[np.ndarray, " N"]
-    """What each object adds to the number of a set; 0 for what is not there."""
+    """Bit of each object in the index of a subset; 0 for absent objects."""
     each: Setting
-    """Of each set, by its number; labels as if nothing more had been seen."""
+    """Setting of each subset, by index; labels assume that no more has been seen."""
 
     def of(self, config: WorldConfig, table: Table) -> Setting:
-        """Those of some beliefs of that table, from now on."""
+        """Settings of later beliefs of that table."""
         setting = picked(self.each, self.bit @ table.is_there)
         if type(config.seeing) is AssumedSeeing:
             return setting
@@ -74,7 +74,7 @@ class Settings(NamedTuple):
 
 
 def settings_of(config: WorldConfig, table: Table) -> Settings | None:
-    """Settings of all sets of the objects of one table; None of several tables, of too many objects, and under JAX."""
+    """Settings of all subsets of the objects of one table; None for several tables, too many objects, or JAX."""
     if library_of(table.hides) is not np or table.is_there.shape[1] != 1:
         return None
     is_there = table.is_there[:, 0]
@@ -88,17 +88,17 @@ def settings_of(config: WorldConfig, table: Table) -> Settings | None:
 
 
 def looked(config: WorldConfig, table: Table, settings: Settings | None) -> Outlook:
-    """Look one attempt ahead; by how the objects stand, where that is known."""
+    """Predict the outcomes of one attempt, from precomputed settings if given."""
     return one_step.outlook_of(config, table, None if settings is None else settings.of(config, table))
 
 
 def successor(
     config: WorldConfig, table: Table, look: Outlook, choice: Int[Array, " R"], draws: Float[Array, "draws R"]
 ) -> Table:
-    """What is believed after an attempt, by draws: one particle's future each.
+    """Sample the belief after an attempt, one particle per lane.
 
-    `choice` is WASH of each object in turn, then LIFT of each. `draws` are uniform in [0, 1): whether it is
-    grasped, and what the look at each object says.
+    `choice` indexes WASH of each object, then LIFT of each. `draws` are uniform in [0, 1): one for the success of the
+    grasp, and one for the label of each object.
     """
     xp, num_objects = library_of(table.is_dirty), len(table.is_there)
     lanes, objects, nodes = (np.arange(num) for num in (len(choice), num_objects, len(table.weights)))
@@ -107,8 +107,8 @@ def successor(
     is_target, result = target == objects, is_grasped.astype(np.int32)
     is_moved = is_target & is_grasped
     is_held = is_moved & (choice >= num_objects)
-    # By Bayes, of the grip and of every label; what was drawn was possible, so that the least of floats only guards
-    # what is not there.
+    # Bayes' rule for the grip and every label; drawn outcomes have positive probability, so the floor only guards
+    # absent objects.
     chance = xp.maximum(look.expected[0][result, target, lanes], _TINY)
     update = look.likelihood[result, nodes[:, None], target, lanes] / chance
     way, law = xp.where(is_grasped, 1 + target, 0), known_seeing(config)
@@ -135,13 +135,13 @@ def advantages(
     draws: Float[Array, "steps draws R"],
     planning_horizon: int,
 ) -> Float[Array, " R"]:
-    """Sum of the advantages of each trajectory, its worth less Q° of its first action; 0 where it has one step to go.
+    """Sum of the advantages of each trajectory, its value minus Q° of its first action; 0 with one step to go.
 
-    It begins with `action`, WASH or LIFT, at one of the tables, and the last of `planning_horizon` ≥ 2 actions is worth
+    It begins with `action`, WASH or LIFT, at one of the tables; the last of `planning_horizon` ≥ 2 actions is valued by
     Q_1.
     """
     config, (table, look) = search.config, picked((search.table, search.look), which)
-    # These verbs follow on FINISH.
+    # FINISH is action 0, before these verbs.
     choice = action - 1
     xp, total, done, totals = library_of(table.is_dirty), _ZERO * draws[0, 0], [], []
     lanes, last_step = np.arange(len(choice)), table.steps_to_go - planning_horizon + 1
@@ -168,11 +168,11 @@ def advantages(
 def _followed(
     config: WorldConfig, table: Table, look: Outlook, last_step: Int[Array, " R"]
 ) -> tuple[Int[Array, " R"], Float[Array, " R"], Bool[Array, " R"]]:
-    """What the rule does next, its advantage, and whether the trajectory ends with it."""
+    """Next action of the rule, its advantage, and whether the trajectory ends with it."""
     values = one_step.rule_and_control(config, table, look)
     xp, best = library_of(values), values[0].argmax(axis=0)
     rule, control = values[:, best, np.arange(len(best))]
-    # Nothing is better than to finish, which is worth 0 here.
+    # FINISH, with value 0 here, is best.
     is_finish = rule <= _ZERO
     is_last = (table.steps_to_go == 1) | (table.steps_to_go == last_step)
     worth = xp.where(is_finish, _ZERO, xp.where(is_last, rule, control))
@@ -180,32 +180,32 @@ def _followed(
 
 
 SHRINKAGE = 8.0
-"""Rollouts that the mean advantage of all actions counts for in that of one."""
+"""Weight, in rollouts, of the mean advantage of all actions in that of one."""
 LANES = 1024
-"""Rollouts that advance together, about: what they need stays in the cache of a core. It changes no value."""
+"""Approximate number of rollouts that advance together, which fit the cache of a core. It does not change results."""
 
 
 @record
 class Search:
-    """Some tables, and what the rollouts of each action brought so far."""
+    """Some tables, with the results of the rollouts of each action so far."""
 
     config: WorldConfig
     table: Table
     look: Outlook
     settings: Settings | None
-    """Of a table alone."""
+    """Only for a single table."""
     rule: Float[Array, "B A"]
     """Q_1."""
     control: Float[Array, "B A"]
-    """Q°; −∞ where an action is impossible, as in `rule`."""
+    """Q°; −∞ if an action is impossible, as in `rule`."""
     total: Float[Array, "B A"]
     """Sum of the advantages over the rollouts of each action."""
     count: Float[Array, "B A"]
-    """int of rollouts of each action."""
+    """Number of rollouts of each action."""
 
     @property
     def values(self) -> Float[Array, "B A"]:
-        """Q of each action, −∞ where it is impossible."""
+        """Q of each action; −∞ if impossible."""
         is_last = (self.table.steps_to_go == 1)[:, None]
         return library_of(self.rule).where(is_last, self.rule, self.shrunk)
 
@@ -221,17 +221,17 @@ class Search:
 
     @property
     def promising(self) -> Int[Array, "B k"]:
-        """All actions but FINISH, which has one rollout, and is known; the best first."""
+        """All actions except FINISH, whose value is known; the best first."""
         return 1 + library_of(self.rule).argsort(-self.shrunk[..., 1:], axis=-1, stable=True)
 
     def num_left(self, size: int) -> Int[Array, " B"]:
-        """How many actions are drawn from, where so many are left of all."""
+        """Number of possible actions among `size` remaining ones, at least 1."""
         xp = library_of(self.control)
         return xp.minimum(size, xp.maximum(xp.sum(xp.isfinite(self.control[..., 1:]), axis=-1), 1))
 
 
 def opened(config: WorldConfig, state: TableState) -> Search:
-    """A search of tables (one axis of them) before its first rollout."""
+    """Start a search of tables (one batch axis), before its first rollout."""
     table = table_of(config, state)
     settings = settings_of(config, table)
     look, left = looked(config, table, settings), left_price(config, table)
@@ -241,9 +241,9 @@ def opened(config: WorldConfig, state: TableState) -> Search:
 
 
 def sampled_values(config: WorldConfig, state: TableState, key: Key, num_rollouts: int) -> Float[Array, "S A"]:
-    """Worth of each of S rollouts of each action of one table.
+    """Value of each of S rollouts of each action of one table.
 
-    It is −∞ where an action is impossible. FINISH has one rollout, and its worth is exact.
+    It is −∞ if an action is impossible. That of FINISH is exact.
     """
     search = opened(config, mapped(lambda leaf: library_of(leaf).asarray(leaf)[None], state))
     xp, (num_actions,) = library_of(search.control), search.control.shape[1:]
@@ -259,7 +259,7 @@ def sampled_values(config: WorldConfig, state: TableState, key: Key, num_rollout
     drawn_of = dict(zip(actions.tolist(), xp.moveaxis(xp.concatenate(parts), -1, 0), strict=True))
     none = xp.zeros(num_rollouts, dtype=np.float32)
     added = xp.stack([drawn_of.get(action, none) for action in range(num_actions)], axis=-1)
-    # What is impossible stays so, whatever came of following it.
+    # Impossible actions stay at −∞, whatever their rollouts gave.
     worth = xp.where(xp.isfinite(search.control), search.control + added, search.control)
     return xp.where((search.table.steps_to_go == 1)[:, None], search.rule, worth)
 
@@ -272,11 +272,11 @@ def drawn(
     draws: Float[Array, "steps draws B numbers"],
     planning_horizon: int,
 ) -> Search:
-    """Add one rollout for each lane: lane l has the l-th of the actions that are left, in turn.
+    """Add one rollout for each lane: lane l tries remaining action l mod `num_left`.
 
-    `promising` are the actions of each table, the best first, of which so many are left, and lanes are numbered
-    within their round. Draws go by l // num_left, as all actions of a round meet the same; the first of them is
-    that of the first lane.
+    `promising` are the actions of each table, the best first, of which `num_left` remain; lanes are numbered within
+    their round. Draws are indexed by l // num_left, since all actions of a round share them, starting at that of the
+    first lane.
     """
     xp, (num_tables, num_actions) = library_of(search.rule), search.rule.shape
     left, table = num_left[:, None], np.repeat(np.arange(num_tables), len(lane))
@@ -290,7 +290,7 @@ def drawn(
 
 
 def halved(num_rollouts: int, num_actions: int) -> list[int]:
-    """Actions that are left in each round of a number of rollouts, halves down to 2."""
+    """Number of remaining actions in each round of sequential halving, down to 2."""
     sizes = [min(num_actions - 1, max(2, num_rollouts // 4))]
     while sizes[-1] > 2:
         sizes.append((sizes[-1] + 1) // 2)
@@ -298,19 +298,18 @@ def halved(num_rollouts: int, num_actions: int) -> list[int]:
 
 
 def num_steps(planning_horizon: int, horizon: int) -> int:
-    """Beliefs that a rollout moves through after the first, at most."""
+    """Largest number of belief updates of a rollout."""
     return max(1, min(int(planning_horizon), horizon) - 1)
 
 
 def searched(search: Search, key: Key, num_rollouts: int, planning_horizon: int, horizon: int) -> Search:
-    """Add a number of rollouts, most of them of the actions that promise most.
+    """Add a number of rollouts, focused on the most promising actions.
 
-    Sequential halving [KarninKorenSomekh2013]_: each round adds equally many rollouts of every action that is left,
-    and the better half stays.
+    Sequential halving [KarninKorenSomekh2013]_: each round adds equally many rollouts of every remaining action, and
+    keeps the better half.
 
-    So many rollouts, about, are those of all actions together. Where a table has fewer than two steps to go,
-    nothing is to be searched. The last of `planning_horizon` ≥ 2 actions is worth Q_1; at most `horizon` steps are
-    to go.
+    `num_rollouts` is approximate and counts all actions. Tables with fewer than two steps to go need no search. The
+    last of `planning_horizon` ≥ 2 actions is valued by Q_1; at most `horizon` steps are to go.
     """
     sizes = halved(num_rollouts, search.rule.shape[-1])
     xp, lane = library_of(search.rule), np.arange(max(sizes[0], round(num_rollouts / len(sizes))))

@@ -1,10 +1,11 @@
-"""The decision process: state, actions, transition, seeing, reward → trajectories; for one robot, or several.
+"""The decision process: state, actions, transition, seeing, reward → trajectories; for one robot or several.
 
-Read down: `random` (draws), `grasping`, `seeing` (the laws; another robot or gripper is another law of grasping) →
-`config` (they and the numbers) → `scene` (where an episode starts) → `state` (what is seen, what is hidden) → `robots`
-(who works at the table) → `actions` (the verbs, and what other robots are at) → `attempts`, `transition` (one step) →
-`policy` (what decides), `explanation` (how sure that is) → `rollout` (many tables to their end) → `cuts` → `logs` with
-`log_rows`, `log_checks` (to and from logs) → `table_world`, `envs`, `pettingzoo_env` (the faces).
+Reading order: `random` (draws), `grasping`, `seeing` (the laws; another robot or gripper is another law of grasping) →
+`config` (the laws and all parameters) → `scene` (initial arrangement) → `state` (observed and hidden state) → `robots`
+(the team at the table) → `actions` (verbs, and what other robots are doing) → `attempts`, `transition` (one step) →
+`policy` (interface of policies), `explanation` (their uncertainty) → `rollout` (many tables to their end) → `cuts` →
+`logs` with `log_rows`, `log_checks` (conversion to and from logs) → `table_world`, `envs`, `pettingzoo_env` (public
+interfaces).
 """
 
 from typing import TYPE_CHECKING

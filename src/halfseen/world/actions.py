@@ -1,17 +1,16 @@
-"""WASH one, LIFT one, FINISH or WAIT: what a robot can do, may do now, and what other robots are at.
+"""The actions WASH, LIFT, FINISH and WAIT: their encoding, which are possible, and what other robots are doing.
 
-One integer stands for each action of a table with N objects, in this file alone. ``0`` is FINISH; then come the verbs
-that have a target, each with its N actions: ``1 + i`` is WASH i, ``1 + N + i`` is LIFT i. Where several robots work,
-WAIT comes last: it has no object, and lasts until the next event. Anyone who adds a verb adds it to `Verb`; no other
-file computes with these numbers.
+Each action of a table with N objects is encoded as an integer. ``0`` is FINISH. The verbs with a target follow, each
+with N actions: ``1 + i`` is WASH i, ``1 + N + i`` is LIFT i. For several robots, WAIT comes last: it has no object and
+lasts until the next event. New verbs are added to `Verb`; no other file depends on this encoding.
 
-How long a team will be busy after each action, in attempts, has a lower bound in scheduling theory [Graham1969]_. An
-object is work as far as it promises to be dirty, (4·(p − ½)) within 0 and 1. No plan is done before the robot that
-alone can do most has done that, nor before all work is done if it were shared evenly:
+Scheduling theory gives a lower bound on a team's makespan after each action, in attempts [Graham1969]_. An object that
+is dirty with probability p counts as work 4·(p − ½), clipped to [0, 1]. No schedule ends before the robot with the
+most work that only it can reach, nor before an even split of all work:
 
     makespan ≥ max( max_r (begun_r + work that r alone reaches),  (Σ_r begun_r + all work) / robots that go on ).
 
-What a robot is at counts 1 as it begins, and less the longer it has been at it.
+An action in progress counts 1 when it begins, and less as it goes on.
 """
 
 from collections.abc import Mapping
@@ -25,14 +24,14 @@ from halfseen.arrays import Array, expit, library_of
 from halfseen.shapes import Bool, Float, Int
 
 FADES_PER_S = 0.03
-"""How fast what is begun counts less towards a makespan [1/s]."""
+"""Decay rate of an action in progress in the makespan [1/s]."""
 WAITS = 0.5
-"""What WAIT begins of one: half of what another robot is at."""
+"""Work that WAIT adds to the makespan: half an attempt."""
 FINISH = 0
 
 
 class Verb(IntEnum):
-    """What the robot can do."""
+    """Verbs of a robot."""
 
     FINISH = 0
     WASH = 1
@@ -40,15 +39,15 @@ class Verb(IntEnum):
 
 
 TARGETED = tuple(verb for verb in Verb if verb is not Verb.FINISH)
-"""Verbs that are done to an object."""
+"""Verbs with a target object."""
 WAIT = 1 + len(TARGETED)
-"""Verb of a robot that does nothing until the next event; the number of the action is `wait_of`."""
+"""Verb of a robot that does nothing until the next event; its action number is `wait_of`."""
 VERB_NAMES = (*(verb.name for verb in Verb), "WAIT")
-"""By number of the verb."""
+"""Indexed by verb."""
 
 
 def wait_of(num_objects: int) -> int:
-    """Number of the action WAIT on a table with N objects."""
+    """Action number of WAIT on a table with N objects."""
     return ActionSpace(num_objects).num_actions
 
 
@@ -74,7 +73,7 @@ class ActionSpace:
 
     @classmethod
     def of_size(cls, num_actions: int) -> "ActionSpace":
-        """Space with so many actions."""
+        """Action space with `num_actions` actions."""
         return cls((num_actions - 1) // len(TARGETED))
 
     @property
@@ -93,7 +92,7 @@ class ActionSpace:
         return np.asarray(self.verb(np.arange(self.num_actions)))
 
     def encode(self, verb: Any, target: Any) -> Any:
-        """Integer of an action, or of an array of them; `target` is ignored for FINISH."""
+        """Encode an action, or an array of actions, as integers; `target` is ignored for FINISH."""
         return (verb > 0) * (1 + (verb - 1) * self.num_objects + target)
 
     def verb(self, action: Any) -> Any:
@@ -105,7 +104,7 @@ class ActionSpace:
         return (action > 0) * ((action - 1) % self.num_objects)
 
     def of(self, verb: Verb) -> slice:
-        """Where the actions of a verb stand among all."""
+        """Slice of a verb's actions among all actions."""
         if verb is Verb.FINISH:
             return slice(0, 1)
         first = self.encode(int(verb), 0)
@@ -113,13 +112,13 @@ class ActionSpace:
 
     @property
     def slices(self) -> list[slice]:
-        """Where the actions of each verb stand among all, by verb."""
+        """Slice of each verb's actions among all actions, by verb."""
         return [self.of(verb) for verb in Verb]
 
     def join(self, finish: Float[Array, "*S"], of_verb: Mapping[Verb, Float[Array, "*S N"]]) -> Float[Array, "*S A"]:
-        """Lay out values of FINISH, and by object of other verbs, in the order of the actions.
+        """Concatenate the value of FINISH and the per-object values of the other verbs in action order.
 
-        A verb that is left out is worth −∞: a policy that does not know it never takes it.
+        A missing verb gets −∞, so that no policy takes it.
         """
         xp = library_of(finish, *of_verb.values())
         if len(of_verb) < len(TARGETED):
@@ -129,16 +128,16 @@ class ActionSpace:
 
 
 def possible_actions(state: Any) -> Bool[Array, "*B A"]:
-    """Which actions there are.
+    """Return which actions are possible.
 
-    FINISH always, and every other verb on what stands on the table. Of several robots, the one that decides may do what
-    is in its reach, in nobody's hand and not near what another robot is at; and WAIT where another is busy with
-    something that ends by itself.
+    FINISH always is, and every other verb on each object on the table. In a team, the deciding robot may act on objects
+    that are in its reach, not taken by another robot, and not near another robot's target. It may WAIT while another
+    robot carries out an action that ends by itself.
 
     Parameters
     ----------
     state
-        A `TableState`, or what else tells by is_on_table, axes (B, N), which objects stand on tables, as a belief.
+        A `TableState`, or another record with is_on_table, axes (B, N), such as a belief.
     """
     robots, is_free = getattr(state, "robots", None), state.is_on_table
     xp = library_of(is_free)
@@ -158,17 +157,16 @@ def of_robot(values: Array, robot: Int[Array, "*B"]) -> Array:
 
 
 def is_decider(state: Any) -> Bool[Array, "*B K"]:
-    """Which of several robots decides."""
+    """One-hot mask of the robot that decides."""
     decider: Any = state.decider
     return library_of(decider).arange(state.num_robots) == decider[..., None]
 
 
 def worthwhile_actions(state: Any) -> Bool[Array, "*B A"]:
-    """Which of the possible actions a policy that is learned chooses from: a robot waits for something, or not at all.
+    """Return which of the possible actions a learned policy chooses from: a robot only waits for an object.
 
-    WAIT only where something that the robot reaches, and that is rather dirty than clean, is in another robot's hands
-    or way. Elsewhere the robot could as well do or leave now what it may do then; and as every decision more is one
-    more maximum over errors of Q, waiting for nothing looked better than it is.
+    WAIT is kept only if an object in reach is more likely dirty than clean and is blocked by another robot. Otherwise
+    waiting gains nothing, but would be overestimated: each further decision adds a maximum over the errors of Q.
     """
     is_possible = possible_actions(state)
     if state.robots is None:
@@ -184,18 +182,18 @@ class Others(NamedTuple):
     """The robots that do not decide."""
 
     goes_on: Bool[Array, "*B K"]
-    """Which of them will do something yet; who goes home no longer does."""
+    """Which of them will still act; a robot on its way home will not."""
     is_at_object: Bool[Array, "*B K"]
     reached: Bool[Array, "*B N"]
-    """What on the table those reach that go on."""
+    """Objects on the table in reach of a robot that goes on."""
     taken: Bool[Array, "*B N"]
     num_at_work: Float[Array, "*B"]
     since_s: Float[Array, "*B"]
-    """For how long those that are at work have been at it, in all [s]."""
+    """Total elapsed time of the actions in progress [s]."""
 
 
 def others_of(state: Any) -> Others:
-    """Tell what the robots that do not decide are at, in a `TableState` with several."""
+    """Summarise what the robots that do not decide are doing, in the `TableState` of a team."""
     robots = state.robots
     xp, is_other = library_of(state.is_on_table), ~is_decider(state)
     goes_on = is_other & ~robots.is_done & ~(robots.is_busy & (robots.verb == Verb.FINISH))
@@ -213,12 +211,12 @@ def others_of(state: Any) -> Others:
 
 
 def reached_by_decider(state: Any) -> Bool[Array, "*B N"]:
-    """What on the table is in reach of the robot that decides."""
+    """Objects on the table in reach of the robot that decides."""
     return state.is_on_table & of_robot(state.workspace.is_in_reach, state.decider)
 
 
 def makespans(state: Any, others: Others) -> Float[Array, "*B A"]:
-    """Bound of what follows each action, WAIT last; 0 where nothing is left to do."""
+    """Lower bound on the makespan after each action, WAIT last; 0 if no work is left."""
     xp, is_me, zero, num = library_of(state.log_odds), is_decider(state), np.float32(0.0), state.num_objects
     work = xp.clip(4.0 * (expit(state.log_odds) - 0.5), zero, np.float32(1.0))
     work = xp.where(state.is_on_table & ~others.taken, work, zero)

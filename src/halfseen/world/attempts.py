@@ -1,4 +1,4 @@
-"""One attempt, what it pays, and the look that follows: what every transition of a table is made of."""
+"""The parts of every transition: one attempt, its reward, and the look that follows."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from halfseen.world.state import NO_ATTEMPT, HiddenState, TableState, numbered, 
 
 
 def is_target(state: TableState, target: Which) -> Bool[Array, "*B N"]:
-    """Which object an action is done to."""
+    """One-hot mask of an action's target."""
     return numbered(target, state.num_objects)
 
 
@@ -28,7 +28,7 @@ def attempted(
     key: Key,
     occluded: Float[Array, "*B N"],
 ) -> Attempt:
-    """How the attempt went; it changes nothing where there is none, or none is possible."""
+    """Draw the outcome of an attempt; it changes nothing for FINISH or if the target is not on the table."""
     xp, law = library_of(verb), config.grasping
     is_attempt, is_there = verb != Verb.FINISH, at(state.is_on_table, target)
     tried = law.attempt(
@@ -45,7 +45,7 @@ def attempted(
 
 
 def action_reward(config: WorldConfig, verb: Which, is_grasped: Flags, is_dirty: Flags, duration_s: Amounts) -> Amounts:
-    """What an action pays by itself, without what is left when the trajectory ends."""
+    """Reward of an action, without the penalty for dirty objects left at the end."""
     xp = library_of(verb)
     washed = xp.where(is_dirty, config.reward_wash_dirty, config.reward_wash_clean)
     wash = xp.where(is_grasped, washed, config.reward_wash_failed)
@@ -54,7 +54,7 @@ def action_reward(config: WorldConfig, verb: Which, is_grasped: Flags, is_dirty:
 
 
 def price_of_left(config: WorldConfig, state: TableState, hidden: HiddenState, ends: Flags) -> Amounts:
-    """What is paid for what is left dirty where the trajectory ends."""
+    """Penalty for dirty objects left on the table, where the trajectory ends."""
     xp = library_of(ends)
     dirty_left = xp.sum(state.is_on_table & hidden.is_dirty, axis=-1).astype(np.float32)
     return xp.where(ends, config.reward_dirty_left * dirty_left, np.float32(0.0))
@@ -63,7 +63,7 @@ def price_of_left(config: WorldConfig, state: TableState, hidden: HiddenState, e
 def after_attempt(
     state: TableState, verb: Which, target: Which, tried: Attempt, occlusion_then: Amounts, robot: Which | None = None
 ) -> TableState:
-    """What is seen of the table once an attempt is over, before the camera looks; its object was hidden so far then."""
+    """State after an attempt, before the next look; `occlusion_then` is the target's occlusion at its begin."""
     xp, by = library_of(verb), state.attempt_robot
     is_now = numbered(state.horizon - state.steps_to_go, state.horizon)
     is_grasped = is_target(state, target) & tried.is_held[..., None]
@@ -86,7 +86,7 @@ def after_attempt(
 def look(
     config: WorldConfig, state: TableState, hidden: HiddenState, held: Bool[Array, "*B N"], key: Key
 ) -> tuple[TableState, HiddenState]:
-    """Look at every object on the table once, as the law of seeing has it.
+    """Look at every object on the table once, by the law of seeing.
 
     An object in `held` is seen unoccluded and hides nothing.
     """

@@ -1,7 +1,6 @@
-"""The numbers of the world: this project's own choice, stated in one place.
+"""The parameters of the world: this project's own choice, stated in one place.
 
-The paper prints none of them. Anyone who compares results must compare them under the same configuration; the study
-prints it.
+The paper prints none of them. Results are comparable only under the same configuration; the study prints it.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,18 +20,18 @@ HORIZON = 10
 
 @record
 class WorldConfig:
-    """Parameters of the table world, and what sets the robots at it apart; only `horizon` is static under JAX.
+    """Parameters of the table world and of the robots at it; only `horizon` is static under JAX.
 
     Parameters
     ----------
     dirty_share
         Prior probability that an object is DIRTY.
     grasping
-        How an attempt goes; a `GraspingByRobot` where robots have laws of their own.
+        Outcome of an attempt; a `GraspingByRobot` if robots have laws of their own.
     seeing
-        What a look tells.
+        Outcome of a look.
     transport_s
-        Time that every action takes on top of its attempt; FINISH takes only this (the arm goes home) [s].
+        Time that every action adds to its attempt; FINISH takes only this (the arm goes home) [s].
     reward_wash_dirty, reward_wash_clean, reward_wash_failed
         Reward of WASH.
     reward_lift_per_s
@@ -40,19 +39,19 @@ class WorldConfig:
     reward_dirty_left
         Reward for each dirty object on the table when the trajectory ends.
     horizon
-        Actions of each robot after which a trajectory ends by itself.
+        Number of actions of each robot after which a trajectory ends by itself.
     speed
-        How fast each of the K robots works: what takes the world so many seconds takes it that, divided by its speed.
+        Relative speed of each of the K robots: all durations of the world are divided by it.
     reward_per_s
         Price of each second of the table's clock; 0 or below [1/s].
     drop_out_rate
-        Hazard that each robot drops out (battery, e-stop), by the table's clock; None where nobody does [1/s].
+        Hazard that each robot drops out (battery, e-stop), by the table's clock; None if no robot can [1/s].
 
     Raises
     ------
     ArgumentError
-        There is no robot; a speed is not above 0, a price above 0, or a hazard below it; or there is not one hazard, or
-        not one law of grasping, a robot.
+        There is no robot; a speed is not positive, a price positive, or a hazard negative; or the number of hazards or
+        of laws of grasping differs from the number of robots.
     """
 
     dirty_share: Number = 0.6
@@ -95,7 +94,7 @@ class WorldConfig:
 
     @property
     def num_stages(self) -> int:
-        """Decisions that a trajectory may have, of all robots together."""
+        """Largest number of decisions of a trajectory, over all robots."""
         return self.num_robots * self.horizon
 
     @property
@@ -104,12 +103,12 @@ class WorldConfig:
         return isinstance(self.grasping, GraspingByRobot)
 
     def as_robot(self, robot: Any) -> "WorldConfig":
-        """Give the world as a robot finds it: attempts go by its law, where each has its own.
+        """Return the world of one robot: attempts follow its law, if each robot has its own.
 
         Parameters
         ----------
         robot
-            Its number, or one for each member of a batch, whose axes are the first of what is asked of the law.
+            Its number, or one for each member of a batch; the batch axes lead in the arguments of the law.
         """
         if not isinstance(self.grasping, GraspingByRobot):
             return self
@@ -125,16 +124,16 @@ _PARAMETERS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "reward_per_s": (lambda value: value <= 0, "a finite price, 0 or below [1/s]"),
     "random_share": (lambda value: 0 <= value <= 1, "the share of decisions made at random, in [0, 1]"),
 }
-"""Which finite numbers each parameter can be, and what to give where it is none of them."""
+"""For each parameter, the valid finite numbers and the remedy named for an invalid one."""
 
 
 def is_number(value: object) -> TypeGuard[PlainNumber]:
-    """Whether a value is a plain number, NumPy's included; a truth value is none."""
+    """Whether a value is a Python or NumPy number; a boolean is not."""
     return isinstance(value, PlainNumber) and not isinstance(value, bool)
 
 
 def is_finite(value: PlainNumber) -> bool:
-    """Whether a number is one in double precision, too: an integer may be larger than any."""
+    """Whether a number is finite in double precision; a large integer may overflow."""
     try:
         return isfinite(value)
     except OverflowError:
@@ -142,21 +141,21 @@ def is_finite(value: PlainNumber) -> bool:
 
 
 def check_number(name: str, value: object, label: str | None = None) -> None:
-    """Refuse a parameter that is no number which it can be; arrays, as JAX makes them of numbers, are not looked at.
+    """Check that a parameter is a valid number; arrays, which JAX makes of numbers, are not checked.
 
     Parameters
     ----------
     name
-        Of the parameter; one that is not known here may be anything.
+        Name of the parameter; a name unknown here is not checked.
     value
-        Given for it.
+        Its value.
     label
-        What it is called in the message.
+        Name to use in the message.
 
     Raises
     ------
     ArgumentError
-        As above.
+        The number is invalid.
     """
     is_array = hasattr(value, "dtype") and not isinstance(value, np.generic)
     if name not in _PARAMETERS or is_array:

@@ -1,17 +1,17 @@
-"""What ends an episode from outside the task: hazards, their calibration to a wanted share, and the cut itself.
+"""Cuts, which end an episode from outside the task: hazards, their calibration to a wanted share, and cutting.
 
-The hazard of a cut is ``rate · intensity``. Three intensities are known, all integrated stage by stage:
+The hazard of a cut is ``rate · intensity``. There are three intensities, all integrated stage by stage:
 
 ``independent``
     1: the cut comes at C ~ Exp(rate), whatever happens on the table.
 ``occlusion``
-    exp(3·mean occlusion of what stands on the table): the camera loses track where much is hidden.
+    exp(3·mean occlusion of the objects on the table): the camera loses track when much is hidden.
 ``attempt``
-    the age of the action in progress [s]: the operator's hand comes when an attempt drags on.
+    the age of the action in progress [s]: the operator intervenes when an attempt drags on.
 
-The rate is calibrated so that the wanted share of the trajectories that a policy makes is cut, in expectation.
+The rate is calibrated so that, in expectation, the wanted share of a policy's trajectories is cut.
 
-A robot of a team that drops out alone cuts nothing: the log tells of it, and may be read as if it had.
+A robot of a team that drops out alone cuts nothing. The log records it, and `cut_at_drop_outs` can treat it as a cut.
 """
 
 from dataclasses import dataclass
@@ -37,24 +37,24 @@ _LOWEST_LOG_RATE = -40.0
 
 @dataclass(frozen=True)
 class CutEpisodes:
-    """Episodes of which some were cut: what a recorder would have kept.
+    """Episodes of which some were cut: the data that a recorder would have kept.
 
-    A cut trajectory keeps the stages that it completed and S_t of the stage in which it was cut.
+    A cut trajectory keeps its completed stages and S_t of the stage in which it was cut.
     """
 
     episodes: Episodes
     end_s: Float[np.ndarray, " n"]
     """Observed end of each trajectory on its clock [s]."""
     is_finished: Bool[np.ndarray, " n"]
-    """True where the trajectory came to its own end, False where it was cut."""
+    """True if the trajectory came to its own end, False if it was cut."""
     is_completed: Bool[np.ndarray, "n T"]
-    """Stages whose reward was seen."""
+    """Stages whose reward was observed."""
     is_begun: Bool[np.ndarray, "n T"]
-    """Stages whose S_t was seen: those completed and, on a cut trajectory, the one in which it was cut."""
+    """Stages whose S_t was observed: those completed and, on a cut trajectory, the one in which it was cut."""
 
 
 def unit_hazards(episodes: Episodes, kind: CutKind | str) -> Float[np.ndarray, "n T"]:
-    """Hazard that each stage adds up at rate 1."""
+    """Integrated hazard of each stage at rate 1."""
     if kind not in CUT_KINDS:
         raise ArgumentError(f"cut kind is {kind!r}; it is one of {', '.join(CUT_KINDS)}")
     duration_s = np.asarray(episodes.duration_s, dtype=np.float64)
@@ -71,13 +71,13 @@ def unit_hazards(episodes: Episodes, kind: CutKind | str) -> Float[np.ndarray, "
 
 
 def check_share(cut_share: float | int) -> None:
-    """Refuse a share of cut trajectories outside [0, 1)."""
+    """Check that the share of cut trajectories is in [0, 1)."""
     if not 0.0 <= cut_share < 1.0:
         raise ArgumentError(f"cut share is {cut_share}; give the wanted share of cut trajectories, in [0, 1)")
 
 
 def cut_rate(pilot: Episodes, cut_share: float | int, kind: CutKind | str) -> float:
-    """Rate at which the wanted share of trajectories like those of `pilot` is cut, in expectation.
+    """Return the rate that cuts the wanted share of trajectories like those of `pilot`, in expectation.
 
     Raises
     ------
@@ -92,10 +92,10 @@ def cut_rate(pilot: Episodes, cut_share: float | int, kind: CutKind | str) -> fl
     def excess(log_rate: float) -> float:
         return float(np.mean(-np.expm1(-np.exp(log_rate) * total))) - cut_share
 
-    if excess(_LOWEST_LOG_RATE) > 0:  # so rare that no trajectory is cut twice: the share is the rate times the hazard
+    if excess(_LOWEST_LOG_RATE) > 0:  # so rare that 1 − exp(−x) ≈ x: the share is the rate times the mean hazard
         return float(cut_share / np.mean(total))
     low, high = _LOWEST_LOG_RATE, -_LOWEST_LOG_RATE
-    while low < (middle := (low + high) / 2.0) < high:  # down to the last bit: the share grows with the rate
+    while low < (middle := (low + high) / 2.0) < high:  # bisection to the last bit: the share grows with the rate
         low, high = (low, middle) if excess(middle) > 0 else (middle, high)
     return float(np.exp(high))
 
@@ -103,8 +103,8 @@ def cut_rate(pilot: Episodes, cut_share: float | int, kind: CutKind | str) -> fl
 def cut(episodes: Episodes, rate: float, kind: CutKind | str, rng: np.random.Generator) -> CutEpisodes:
     """Cut episodes at hazard `rate` times the intensity of `kind`.
 
-    A trajectory is cut where the accumulated hazard passes an Exp(1) draw; a stage that ends at that very moment counts
-    as completed (completions come before cuts).
+    A trajectory is cut where the accumulated hazard exceeds an Exp(1) draw. A stage that ends at that very moment
+    counts as completed (completions precede cuts).
     """
     is_taken = np.asarray(episodes.is_taken)
     duration_s = np.asarray(episodes.duration_s, dtype=np.float64)
@@ -124,7 +124,7 @@ def cut(episodes: Episodes, rate: float, kind: CutKind | str, rng: np.random.Gen
 
 
 def drop_out_columns(cuts: CutEpisodes, cause: str) -> dict[str, Any]:
-    """When each robot dropped out, and why; null where it did not before the end, nothing where nobody can."""
+    """Columns of each robot's drop-out time and cause, null if it did not drop out; no columns if no robot can."""
     if cuts.episodes.out_s is None:
         return {}
     duration_s = np.where(cuts.is_completed, np.asarray(cuts.episodes.duration_s, dtype=np.float64), 0.0)
@@ -139,10 +139,10 @@ def drop_out_columns(cuts: CutEpisodes, cause: str) -> dict[str, Any]:
 
 
 def cut_at_drop_outs(logs: Logs) -> Logs:
-    """Cut each trajectory where its first robot dropped out, with its cause: for the value as if nobody dropped out.
+    """Cut each trajectory at its first drop-out, with its cause, to estimate the value without drop-outs.
 
-    The stage in which it fell is not completed, also where it ended there since robots that waited were free: without
-    the drop-out it would have gone on.
+    The stage of the drop-out is not completed, even if it ended then because waiting robots became free: without the
+    drop-out it would have gone on.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The table world behind Gymnasium's interface, for agents that learn while they act; one robot or several."""
+"""The table world as a Gymnasium environment, for online learning; one robot or several."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -28,7 +28,7 @@ _OF_TABLE += ("attempt_object", "attempt_occlusion", "attempt_succeeded")
 
 
 def observed(config: WorldConfig, state: TableState, robot: int | None = None) -> Observation:
-    """S_t of one table as arrays, as the robot that decides sees it, or another; padding, and who is idle, read 0."""
+    """S_t of one table as arrays, as seen by the deciding robot or by `robot`; padding and idle robots read 0."""
     successes, failures = attempt_counts(state)
     seen = {name: getattr(state, name) for name in _OF_TABLE}
     seen |= {
@@ -56,7 +56,7 @@ def observed(config: WorldConfig, state: TableState, robot: int | None = None) -
 
 
 def space_of(config: WorldConfig, layouts: Layout) -> spaces.Space[Observation]:
-    """Space of the observations of some tables: their shapes and types, and how far their numbers reach."""
+    """Observation space of some tables: shapes, types and bounds."""
     example = observed(config, initial_state(config, mapped(lambda leaf: leaf[0], layouts)))
     firmest, surest = float(np.nanmax(np.abs(layouts.grip), initial=1.0)), _largest_log_odds(config)
     worlds = (config.as_robot(robot) for robot in range(config.num_robots))
@@ -71,7 +71,7 @@ def space_of(config: WorldConfig, layouts: Layout) -> spaces.Space[Observation]:
         "decider": (0, last_robot),
         "verb": (0, WAIT),
         "target": (0, last_object),
-        # Of the longest attempt of one, or a wait for it; seconds are added up event by event, and rounded.
+        # Longest attempt, or a wait for it; seconds are added up event by event, with rounding errors.
         "since_s": (0.0, float(bound_s * (1.0 + 1e-5))),
         "decisions_to_go": (0, config.horizon),
         "attempt_robot": (0, last_robot),
@@ -87,9 +87,9 @@ def space_of(config: WorldConfig, layouts: Layout) -> spaces.Space[Observation]:
 
 
 def _largest_log_odds(config: WorldConfig) -> float:
-    """Bound on |log-odds|: the prior's, and as many labels as there are, each the surest that a label can be.
+    """Bound on |log-odds|: that of the prior plus the largest evidence of a label times the number of labels.
 
-    There is none where it is not known how sure a label can be, or labels are not independent.
+    It is infinite if label probabilities are unknown, or labels are not independent.
     """
     if not (isinstance(config.seeing, KnownSeeing) and is_independent(config.seeing)):
         return np.inf
@@ -100,13 +100,13 @@ def _largest_log_odds(config: WorldConfig) -> float:
 
 
 def _object_line(seen: Observation, cup: int) -> str:
-    """How dirty an object seems, and where it is."""
+    """Text line of an object: its probability of DIRTY and its location."""
     where = f"hidden {seen['occlusion'][cup]:.0%}" if seen["is_on_table"][cup] else "in the dishwasher"
     return f"cup {cup}: dirty {expit(seen['log_odds'][cup]):.0%}, {where}"
 
 
 def _doing_of(seen: Observation, robot: int) -> str:
-    """What a robot is at, in words."""
+    """Text for what a robot is doing."""
     if not seen["is_busy"][robot]:
         return "out" if seen["is_out"][robot] else "parked" if seen["is_parked"][robot] else "free"
     verb = int(seen["verb"][robot])
@@ -115,7 +115,7 @@ def _doing_of(seen: Observation, robot: int) -> str:
 
 
 def default_scene() -> Scene:
-    """Six cups: three in front, and behind each gap one that two of them hide; the last stands almost free."""
+    """Six cups: three in front, one behind each gap that two of them hide, and one almost in full view."""
     hides = np.zeros((6, 6))
     hides[3, 0], hides[3, 1] = 0.35, 0.25
     hides[4, 1], hides[4, 2] = 0.3, 0.3
@@ -125,40 +125,39 @@ def default_scene() -> Scene:
 
 
 def default_team() -> Team:
-    """Two robots, left and right of the table; each reaches four of the six cups, and three of those both."""
+    """Two robots, left and right of the table; they reach four and five of the six cups, three of them in common."""
     return Team((Robot((-0.5, 0.05), 0.65, name="left"), Robot((0.5, 0.05), 0.65, name="right")))
 
 
 class CupsEnv(gymnasium.Env[Observation, np.int64]):
-    """A table of half-hidden cups (design, §3), as ``gymnasium.make("halfseen/Cups-v0")`` makes it.
+    """A table of half-hidden cups (design, §3), registered as ``gymnasium.make("halfseen/Cups-v0")``.
 
-    Actions are numbered as in `halfseen.world.actions`; ``info["action_mask"]`` tells which are possible. One that
-    is not possible (the object is in the dishwasher, or padding) is an attempt that closes on nothing: it fails, takes
-    the limit of an attempt, and is paid like a missed grasp.
+    Actions are numbered as in `halfseen.world.actions`; ``info["action_mask"]`` marks the possible ones. An impossible
+    action (its object is in the dishwasher, or padding) is an attempt that closes on nothing: it fails, takes the time
+    limit of an attempt, and is rewarded like a missed grasp.
 
     ``terminated`` is the table's own end: FINISH, cleared, or the horizon. ``truncated`` is a cut from outside the
     task: the stage in progress is lost, so the reward is 0, S_t stays, and ``info`` gives the clock of the cut and its
-    cause. They never come together, as a stage that ends at the very moment of a cut is completed.
+    cause. They are never both true: a stage that ends at the very moment of a cut is completed.
 
     An observation holds S_t: for each object is_object, is_on_table (else in the dishwasher), occlusion, grip (mean of
-    its grip offset), log_odds (of DIRTY), seen (share of its surface that labels have told of), successes, failures and
-    lifts; hides (of row i, the share that each object hides alone); the attempts in the order of the steps (object or
-    -1, occlusion, succeeded); and steps_to_go. Padding reads 0.
+    its grip offset), log_odds (of DIRTY), seen (share of its surface that labels have covered), successes, failures and
+    lifts; hides (row i: the share of object i that each object hides alone); the attempts in step order (object or -1,
+    occlusion, succeeded); and steps_to_go. Padding reads 0.
 
     Parameters
     ----------
     scenes
-        Where episodes begin: one is drawn at each reset, or chosen by ``options={"scene": k}``. None for
-        `default_scene`.
+        Initial scenes: one is drawn at each reset, or chosen by ``options={"scene": k}``. None for `default_scene`.
     num_objects
         N, padding included; by default that of the largest scene.
     config
-        The numbers of the world.
+        Parameters of the world.
     cut_rate
-        Rate of cuts [1/s]; `halfseen.world.cuts.cut_rate` finds the one that cuts a wanted share of a policy's
+        Rate of cuts [1/s]; `halfseen.world.cuts.cut_rate` computes the rate that cuts a wanted share of a policy's
         trajectories.
     render_mode
-        None, or ``"ansi"`` for a text.
+        None, or ``"ansi"`` for text.
     team
         Robots, each with a reach of its own; see `TeamCupsEnv`.
 
@@ -167,7 +166,7 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
     SceneError
         There is no scene, or one has more objects than `num_objects`.
     ArgumentError
-        `cut_rate` is negative or not finite, or `render_mode` unknown.
+        `cut_rate` is negative or not finite, or `render_mode` is unknown.
 
     Examples
     --------
@@ -207,7 +206,7 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
 
     @property
     def state(self) -> TableState:
-        """S_t; an `ArgumentError` where no table is set."""
+        """S_t; raises `ArgumentError` before the first reset."""
         if self._state is None:
             raise ArgumentError("the trajectory has not begun; call reset")
         return self._state
@@ -219,16 +218,16 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
 
     @property
     def is_ended(self) -> bool:
-        """Whether nothing is to be decided."""
+        """Whether there is no decision to make: before a reset, or after the end."""
         return self._state is None or self.is_over or self.is_cut
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Set a table; an `ArgumentError` where the scene that `options` asks for is none.
+        """Set a table; raises `ArgumentError` if `options` names a scene that does not exist.
 
-        ``info["episode_seed"]`` is the integer s with which `halfseen.world.rollout.play` plays this very table, from
-        ``halfseen.world.random.key_of(s)``.
+        ``info["episode_seed"]`` is the integer s such that `halfseen.world.rollout.play` with the key
+        ``halfseen.world.random.key_of(s)`` plays this same table.
         """
         super().reset(seed=seed)
         rng = self.np_random
@@ -243,7 +242,7 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         return self.observation(), {**self._info(), "episode_seed": episode_seed}
 
     def step(self, action: np.integer | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Let the robot that decides begin an action, unless a cut comes before the next decision.
+        """Let the deciding robot begin an action, and advance to the next decision or to a cut before it.
 
         Raises
         ------
@@ -267,21 +266,21 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         return self.observation(), reward, self.is_over, False, self._info()
 
     def observation(self, robot: int | None = None) -> Observation:
-        """S_t as arrays, as the robot that decides sees it, or another."""
-        # Anyone who is given them may write into them: the state is not theirs.
+        """S_t as arrays, as seen by the deciding robot or by `robot`."""
+        # Copies, so that a caller who writes into them does not change the state.
         return mapped(np.copy, observed(self.config, self.state, robot))
 
     def info(self, robot: int | None = None) -> dict[str, Any]:
-        """The clock, and what is possible, for the robot that decides or for another."""
+        """Clock and action mask of the deciding robot or of `robot`."""
         return {"elapsed_s": self.elapsed_s, "action_mask": self.action_mask(robot)}
 
     def action_mask(self, robot: int | None = None) -> Int[np.ndarray, " A"]:
-        """Which actions are possible: of a robot that does not decide, none."""
+        """Which actions are possible; none for a robot that does not decide."""
         mask = possible_actions(self.state).astype(np.int8)
         return mask if robot is None or (robot == self.decider and not self.is_ended) else np.zeros_like(mask)
 
     def render(self) -> str | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Write the table as text, a line a robot and one an object; None unless the mode is ``"ansi"``."""
+        """Render the table as text, one line per robot and object; None unless the mode is ``"ansi"``."""
         if self.render_mode is None:
             return None
         seen = self.observation()
@@ -298,31 +297,31 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
 
 
 class TeamCupsEnv(CupsEnv):
-    """A table of half-hidden cups before several robots, as ``gymnasium.make("halfseen/TeamCups-v0")`` makes it.
+    """A table of half-hidden cups before several robots, registered as ``gymnasium.make("halfseen/TeamCups-v0")``.
 
-    All is as in `CupsEnv`, but each step is one decision of one robot, ``info["robot"]``: the one that is free. WAIT is
-    the last action; for nothing, it lasts as long as going home.
+    It differs from `CupsEnv` in that each step is one decision of the robot that is free, ``info["robot"]``. WAIT is
+    the last action; with nothing to wait for, it lasts as long as going home.
 
-    The reward is all that falls until the next decision, whichever robot makes it. The table's own end is that it is
-    cleared, or every robot parked, dropped out or out of decisions. A cut ends it for all. A robot that drops out alone
-    ends nothing: observations tell that it is out.
+    The reward sums all rewards until the next decision of any robot. The table's own end comes when it is cleared, or
+    every robot is parked, dropped out or out of decisions. A cut ends it for all robots. A single drop-out does not end
+    it: observations mark the robot as out.
 
-    An observation holds what one of `CupsEnv` holds, and decider (number of the robot that decides); for each robot
-    is_busy, is_parked, is_out, verb (0 FINISH, 1 WASH, 2 LIFT, 3 WAIT), target, since_s and decisions_to_go; and
-    is_in_reach (of row r, what robot r reaches) and is_near (pairs at which two robots cannot be at once). Where robots
-    have laws of grasping of their own, attempt_robot tells who made each attempt.
+    An observation adds to that of `CupsEnv` decider (number of the deciding robot); for each robot is_busy, is_parked,
+    is_out, verb (0 FINISH, 1 WASH, 2 LIFT, 3 WAIT), target, since_s and decisions_to_go; is_in_reach (row r: the
+    objects that robot r reaches) and is_near (pairs of objects too close for two robots at once). If robots have their
+    own laws of grasping, attempt_robot gives the robot that made each attempt.
 
     Parameters
     ----------
     scenes, num_objects, config, cut_rate, render_mode
-        As of `CupsEnv`; scenes have `places_m`.
+        As in `CupsEnv`; scenes have `places_m`.
     team
         The robots; None for two, left and right of the table.
 
     Raises
     ------
     SceneError, ArgumentError
-        As of `CupsEnv`; or a scene does not tell where its objects stand.
+        As in `CupsEnv`; or a scene lacks the places of its objects.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""Why an action: what each one is worth, how sure that is, and which is likely the best.
+"""Explanations of a decision: the value of each action, its uncertainty, and the probability that it is best.
 
-Anyone who can draw from what Q may be, as a planner whose error is known, explains a state by it. How sure a learned Q
-is, `halfseen.policies.decision` says.
+A state is explained by draws from a distribution of Q, such as that of a planner whose error is known. For the
+uncertainty of a learned Q see `halfseen.policies.decision`.
 """
 
 from collections.abc import Sequence
@@ -16,32 +16,34 @@ from halfseen.world.actions import FINISH, TARGETED, ActionSpace, Verb
 from halfseen.world.state import TableState
 
 SAME_VALUE = 1e-6
-"""Actions whose values in a draw differ by less are tied there [reward]: more than float32 can tell apart."""
+"""Values in a draw that differ by less are tied [reward]; float32 resolves less than this."""
 _SAME = 1e-4
 _NUM_SHOWN = 8
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """What is known of the actions of one table; all worths are expected rewards to the end of the trajectory.
+    """Values of the actions of one table, as expected rewards to the end of the trajectory, with their uncertainty.
+
+    For impossible actions, values and intervals are −∞ and probabilities 0.
 
     Attributes
     ----------
     actions
-        Their names, as in `halfseen.world.actions`.
+        Names of the actions, as in `halfseen.world.actions`.
     values
-        Q of each action [reward]; −∞ where it is impossible, as in all that follows but the probabilities, which are 0.
+        Q of each action [reward].
     low, high
-        Interval that holds the true Q with probability `level`.
+        Interval that contains the true Q with probability `level`.
     probability_best
-        Probability that no action is better. Actions that are equally good are all the best, so that over the actions
-        it sums to 1 or more.
+        Probability that no action is better. Equally good actions all count as best, so the sum over actions is 1 or
+        more.
     lift_worth
-        Q(LIFT i) less the best of the actions that are not a LIFT, for each object [reward].
+        Q(LIFT i) minus the value of the best action other than a LIFT, for each object [reward].
     lift_low, lift_high
-        Its interval.
+        Interval of `lift_worth`.
     level
-        Probability that an interval holds.
+        Coverage probability of the intervals.
     """
 
     actions: tuple[str, ...]
@@ -56,16 +58,16 @@ class Explanation:
 
     @property
     def best(self) -> int:
-        """Action of the largest value; the lowest in a tie."""
+        """Action with the largest value; the lowest in a tie."""
         return int(np.argmax(self.values))
 
     @property
     def probability_stop_is_right(self) -> float:
-        """Probability that nothing is better than to FINISH now."""
+        """Probability that no action is better than FINISH now."""
         return float(self.probability_best[FINISH])
 
     def as_dict(self) -> dict:
-        """Plain numbers for JSON; None where an action is impossible."""
+        """Plain numbers for JSON; None for impossible actions."""
         facts: dict[str, Any] = asdict(self)
         for name, values in facts.items():
             if isinstance(values, np.ndarray):
@@ -104,28 +106,28 @@ def explained(
     is_possible: Bool[np.ndarray, " A"],
     level: float = 0.9,
 ) -> Explanation:
-    """Explain one state of a table by draws of what Q may be.
+    """Explain one state of a table by draws from the distribution of Q.
 
     Parameters
     ----------
     values
-        Q of each action; it may hold anything where the action is impossible.
+        Q of each action; ignored for impossible actions.
     draws
-        Draws from what Q may be, all actions together: what is common to them is no reason to doubt which is best.
+        Joint draws of Q over all actions, since errors common to all actions do not change which is best.
     is_possible
         Which actions the state allows; FINISH is among them.
     level
-        Probability that an interval is to hold, in (0, 1).
+        Coverage probability of the intervals, in (0, 1).
 
     Returns
     -------
     Explanation
-        Intervals are central quantiles of the draws; an action is best in a draw where none is better by 1e-6.
+        Intervals are central quantiles of the draws; an action is best in a draw if no other is better by 1e-6.
 
     Raises
     ------
     ArgumentError
-        The actions are not those of a table, FINISH is impossible, a number is not finite, there is no draw, or
+        The actions are not those of a table, FINISH is impossible, a number is not finite, there are no draws, or
         `level` is out of range.
 
     Examples
@@ -163,11 +165,11 @@ probability 0.00.
 
 
 def alike(state: TableState) -> Int[np.ndarray, " A"]:
-    """For each action, the lowest one that only the numbering of the objects tells from it.
+    """For each action, the lowest action equivalent to it up to the numbering of the objects.
 
-    Two objects are interchangeable if all that is seen stays the same when they trade places: location, grip, log-odds,
-    what was seen of them, past attempts, and who hides whom. Doing the same to either is then worth the same, whatever
-    estimates say.
+    Two objects are interchangeable if swapping them leaves all that is observed unchanged: location, grip, log-odds,
+    share seen, past attempts, and which object hides which. The same verb on either then has the same value, whatever
+    the estimates.
     """
     there = np.asarray(state.is_on_table)
     known = np.stack([np.asarray(leaf, dtype=np.float64) for leaf in (state.log_odds, state.grip, state.seen)])
@@ -201,7 +203,7 @@ def _lift_worth(values: Float[np.ndarray, "*S A"]) -> Float[np.ndarray, "*S N"]:
 def _interval(
     draws: Float[np.ndarray, "B k"], is_possible: Bool[np.ndarray, " k"], level: float
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Central quantiles, −∞ where impossible."""
+    """Central quantiles; −∞ where impossible."""
     ends = np.full((2, len(is_possible)), -np.inf)
     ends[:, is_possible] = np.quantile(draws[:, is_possible], [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
     return ends[0], ends[1]

@@ -1,9 +1,8 @@
-"""How an attempt to grasp goes: the law that the world takes, and the one that it assumes by default.
+"""Laws of grasping, which draw the outcome of an attempt: the interface, and the default law of the world.
 
-A law is drawn from (`GraspLaw`); the world, its logs and its Gymnasium face need no more. Who computes ahead instead of
-drawing (the planners' beliefs, the exact optimum) needs its probabilities as well (`KnownGrasping`). A law is a frozen
-record of numbers, and answers for whole batches of tables. Other laws here: one whose numbers are fitted to attempts,
-and one for each robot of a team.
+The world, its logs and its Gymnasium environment only sample from a law (`GraspLaw`). Planners' beliefs and the exact
+optimum also need its probabilities (`KnownGrasping`). A law is a frozen record of numbers and handles batches of
+tables. Further laws here: one with parameters fitted to attempts, and one that gives each robot its own law.
 """
 
 import math
@@ -20,7 +19,7 @@ from halfseen.world.random import Key
 
 
 class Arrangement(NamedTuple):
-    """How the objects of a table stand when an attempt begins; N of them, padding included."""
+    """Arrangement of the N objects of a table, padding included, when an attempt begins."""
 
     hides: Float[Array, "*B N N"]
     """Share of object i's silhouette that object j alone hides."""
@@ -28,28 +27,28 @@ class Arrangement(NamedTuple):
     """False in the dishwasher, and for padding."""
     occlusion: Float[Array, "*B N"]
     grip: Float[Array, "*B N"]
-    """Mean of each object's grip offset, from what is seen of it; 0 where nothing sets it apart."""
+    """Mean of each object's grip offset, given what is observed of it; 0 if nothing distinguishes it."""
 
 
 class Attempt(NamedTuple):
-    """How one attempt went."""
+    """Outcome of one attempt."""
 
     is_held: Flags
-    """Whether the object was grasped (pushed, …: whether the verb worked)."""
+    """Whether the object was grasped (for other verbs, such as pushing: whether the verb succeeded)."""
     duration_s: Amounts
     """Positive; without transport [s]."""
     hides: Float[Array, "*B N N"]
-    """Who hides whom afterwards, as objects may have moved."""
+    """Which object hides which afterwards; objects may have moved."""
     latent: Any
 
 
 @runtime_checkable
 class GraspLaw(Protocol):
-    """How attempts go, on as many tables as a batch has.
+    """Law of the outcome of attempts, for a batch of tables.
 
-    What is peculiar to the objects and never seen (how well each can be gripped, say) is the law's latent variable: a
-    record or array with an axis for the batch, or None. The law draws it when the table is set, is handed it at every
-    attempt, and hands back what has become of it.
+    The latent variable of a law holds properties of the objects that are never observed (such as how well each can be
+    gripped): a record or array with a batch axis, or None. The law draws it when the table is set, receives it at every
+    attempt, and returns its new value.
     """
 
     @property
@@ -65,7 +64,7 @@ class GraspLaw(Protocol):
         num_objects
             N, padding included.
         key
-            Of each table: the only source of randomness.
+            One for each table: the only source of randomness.
         """
         ...
 
@@ -75,11 +74,11 @@ class GraspLaw(Protocol):
         Parameters
         ----------
         table
-            How the objects stand.
+            Arrangement of the objects.
         latent
             The latent variable.
         verb
-            As in `halfseen.world.actions.Verb`. For FINISH the answer is ignored.
+            As in `halfseen.world.actions.Verb`. For FINISH the result is ignored.
         target
             Number of the object.
         key
@@ -92,9 +91,9 @@ class GraspLaw(Protocol):
 class KnownGrasping(GraspLaw, Protocol):
     """A `GraspLaw` whose probabilities are known, for planners.
 
-    Its latent variable is one number u for each object, from N(0, offset_std²), that no attempt changes. The grip
-    offset of an object is `Arrangement.grip` + u: its mean shows, the rest does not. Attempts are independent given the
-    offset and the occlusion, are the same for every verb, and move nothing. The methods take arrays that broadcast.
+    Its latent variable is a number u for each object, from N(0, offset_std²), that no attempt changes. The grip offset
+    of an object is `Arrangement.grip` + u, of which only the mean is observed. Given the offset and the occlusion,
+    attempts are independent and identical for all verbs. They move nothing. The methods take arrays that broadcast.
     """
 
     @property
@@ -113,10 +112,10 @@ class KnownGrasping(GraspLaw, Protocol):
 
 @record
 class AssumedGrasping:
-    """Time to grasp T = exp(a + b·occ − grip − u)·E with E ~ Exp(1) and a hidden u ~ N(0, σ²) of each object.
+    """Time to grasp T = exp(a + b·occ − grip − u)·E with E ~ Exp(1) and a hidden u ~ N(0, σ²) for each object.
 
-    `Arrangement.grip` is 0 unless the scene says more. An attempt holds when T ≤ τ and takes min(T, τ); nothing else
-    moves. These numbers are this project's own choice.
+    `Arrangement.grip` is 0 unless the scene gives it. An attempt succeeds if T ≤ τ and takes min(T, τ); nothing else
+    moves. The default parameters are this project's own choice.
 
     Parameters
     ----------
@@ -140,7 +139,7 @@ class AssumedGrasping:
     def attempt(
         self, table: Arrangement, latent: Float[Array, "*B N"], verb: Which, target: Which, key: Key
     ) -> Attempt:
-        """Draw the time to grasp; whatever is to be done with the object."""
+        """Draw the time to grasp, the same for all verbs."""
         offset = at(table.grip, target) + at(latent, target)
         grasp_s = random.exponential(key) * self.scale_s(at(table.occlusion, target), offset)
         is_held = grasp_s <= self.limit_s
@@ -153,7 +152,7 @@ class AssumedGrasping:
 
     def log_failure(self, occluded: Any, offset: Any) -> Any:
         """Log P(T > τ | occ, offset) = −τ / scale."""
-        # The scale is a product of occlusion and offset: no exponential for every pair of them.
+        # The scale factors into occlusion and offset, which saves an exponential for every pair of them.
         return -self.limit_s / self.scale_s(occluded, 0.0) * library_of(offset).exp(offset)
 
     def expected_s(self, occluded: Any, offset: Any) -> Any:
@@ -164,21 +163,21 @@ class AssumedGrasping:
 
 @record
 class FittedGrasping:
-    """An attempt holds with probability expit(a + b·occ + grip + u), where u ~ N(0, σ²) of each object is hidden.
+    """An attempt succeeds with probability expit(a + b·occ + grip + u), with a hidden u ~ N(0, σ²) for each object.
 
-    The logarithm of its duration is normal, with one mean where it holds and another where it misses; none takes longer
-    than the limit. Nothing else moves. The numbers are for attempts to tell, so none has a default.
+    Its log duration is normal, with different means for success and failure, and capped at the limit. Nothing else
+    moves. The parameters are fitted to attempts, so they have no defaults.
 
     Parameters
     ----------
     log_odds
-        a, log-odds that an attempt at an object in full view holds, its grip offset 0.
+        a, log-odds of success on an object in full view with grip offset 0.
     log_odds_per_occlusion
-        b, what is added to it for an object that is wholly hidden.
+        b, added to them for an object that is wholly hidden.
     offset_std
         σ, standard deviation of u.
     log_held_s, log_missed_s
-        Mean logarithm of the duration of an attempt that holds, and of one that misses [log s].
+        Mean log duration of an attempt that succeeds, and of one that fails [log s].
     log_std
         Standard deviation of both, above 0.
     limit_s
@@ -200,7 +199,7 @@ class FittedGrasping:
     def attempt(
         self, table: Arrangement, latent: Float[Array, "*B N"], verb: Which, target: Which, key: Key
     ) -> Attempt:
-        """Draw whether it holds, and then how long it took; whatever is to be done with the object."""
+        """Draw success, then duration; the same for all verbs."""
         held_key, time_key = random.split(key)
         log_failure = self.log_failure(at(table.occlusion, target), at(table.grip, target) + at(latent, target))
         is_held, xp = random.log_uniform(held_key) >= log_failure, library_of(log_failure)
@@ -209,22 +208,22 @@ class FittedGrasping:
         return Attempt(is_held, xp.minimum(xp.exp(log_s), self.limit_s), table.hides, latent)
 
     def log_failure(self, occluded: Any, offset: Any) -> Any:
-        """Log P(an attempt misses | occ, offset) = −log(1 + exp(a + b·occ + offset))."""
+        """Log P(an attempt fails | occ, offset) = −log(1 + exp(a + b·occ + offset))."""
         odds = self._odds(occluded, offset)
         return -library_of(odds).log1p(odds)
 
     def failure(self, occluded: Any, offset: Any) -> Any:
-        """P(an attempt misses | occ, offset), which takes less time than its logarithm."""
+        """P(an attempt fails | occ, offset), which is cheaper to compute than its logarithm."""
         return np.float32(1.0) / (np.float32(1.0) + self._odds(occluded, offset))
 
     def _odds(self, occluded: Any, offset: Any) -> Any:
         log_odds = self.log_odds + self.log_odds_per_occlusion * occluded
         xp = library_of(log_odds, offset)
-        # A product, so that there is no exponential for every pair of occlusion and offset.
+        # A product, which saves an exponential for every pair of occlusion and offset.
         return xp.exp(log_odds) * xp.exp(offset)
 
     def expected_s(self, occluded: Any, offset: Any) -> Any:
-        """Mean duration over both results, each a lognormal time that is cut at the limit [s]."""
+        """Mean duration over both outcomes, each lognormal and capped at the limit [s]."""
         log_failure = self.log_failure(occluded, offset)
         held_s, missed_s = (self._mean_s(log_s) for log_s in (self.log_held_s, self.log_missed_s))
         return held_s + library_of(log_failure).exp(log_failure) * (missed_s - held_s)
@@ -235,7 +234,7 @@ class FittedGrasping:
         limit = (xp.log(self.limit_s) - log_s) / self.log_std
         within_s = xp.exp(log_s + self.log_std**2 / 2.0) * _below(limit - self.log_std)
         mean_s = within_s + self.limit_s * _below(-limit)
-        # A number of NumPy's would make float64 of all float32 that it meets.
+        # A NumPy float64 scalar would promote float32 arrays to float64.
         return float(mean_s) if xp is np else mean_s
 
 
@@ -250,23 +249,23 @@ def _below(limit: Any) -> Any:
 
 @record
 class GraspingByRobot:
-    """Attempts go as the law of the robot has it that makes them (a `GraspLaw`, and known where all of its laws are).
+    """Each attempt follows the law of the robot that makes it (a `GraspLaw`; a `KnownGrasping` if all its laws are).
 
-    The latent variable is a tuple, one of each law, all drawn from one key: an object that is hard to grip is so for
-    all robots. Planners take u / offset_std of an object to be one number, whichever robot tries it. So it is where
-    laws draw u alike, as `AssumedGrasping` and `FittedGrasping` do, and grids among themselves.
+    The latent variable is a tuple with that of each law, all drawn from one key: an object that is hard to grip is so
+    for all robots. Planners assume that u / offset_std of an object is the same for all robots. That holds if the laws
+    draw u in the same way, as `AssumedGrasping` and `FittedGrasping` do, and laws on a grid among themselves.
 
     Parameters
     ----------
     laws
         Law of each robot, robot 0 first; they may be of different kinds.
     robot
-        Number of the robot that tries, or of each; its axes are the first of what the law is asked for.
+        Number of the robot that makes the attempt, or one per batch member; its axes lead in the law's arguments.
 
     Raises
     ------
     ArgumentError
-        There is no law, or what is among them is no law of one robot.
+        There is no law, or an entry is not the law of one robot.
     """
 
     laws: tuple[GraspLaw, ...]
@@ -293,7 +292,7 @@ class GraspingByRobot:
         return tuple(law.draw_latent(num_objects, key) for law in self.laws)
 
     def attempt(self, table: Arrangement, latent: tuple[Any, ...], verb: Which, target: Which, key: Key) -> Attempt:
-        """Attempt as the robot does; the latents of the other laws stay as they are."""
+        """Attempt by the robot's law; the latents of the other laws do not change."""
         each = [law.attempt(table, own, verb, target, key) for law, own in zip(self.laws, latent, strict=True)]
         latents = tuple(
             chosen(library_of(self.robot).asarray(self.robot == k), tried.latent, own)
@@ -310,7 +309,7 @@ class GraspingByRobot:
         return self._of(lambda law: law.expected_s(occluded, offset))
 
     def _of(self, ask: Callable[[Any], Any]) -> Any:
-        """What the law of the robot answers to what it knows how to."""
+        """Evaluate `ask` on the law of the robot."""
         return self._chosen([ask(law) for law in self.laws])
 
     def _chosen(self, each: Sequence[Any]) -> Any:
@@ -323,7 +322,7 @@ class GraspingByRobot:
 
 
 def check_law(law: object, where: str) -> None:
-    """Refuse what is no law of grasping of one robot, by an `ArgumentError` that says where it stands."""
+    """Raise an `ArgumentError` that names `where` unless `law` is the law of grasping of one robot."""
     if isinstance(law, type | GraspingByRobot) or not isinstance(law, GraspLaw):
         raise ArgumentError(
             f"{where} is {law!r}, no law of grasping of one robot; give one, such as AssumedGrasping() or the grasping "

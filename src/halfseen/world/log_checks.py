@@ -1,6 +1,6 @@
-"""What must hold for a log of tables, of one robot or several, on top of what every log must hold.
+"""Checks of a log of tables, of one robot or several, in addition to those of every log.
 
-What the columns of a table hold, `halfseen.world.logs` tells.
+For the columns see `halfseen.world.logs`.
 """
 
 from collections.abc import Callable
@@ -15,16 +15,16 @@ from halfseen.world.actions import TARGETED, Verb
 from halfseen.world.log_rows import FREE, IDLE, NOTHING, OF_OBJECT, TableLog
 
 TABLE, DISHWASHER, LOST = LOCATIONS = ("TABLE", "DISHWASHER", "LOST")
-"""Where an object is; lost where it is no longer on the table and was not washed."""
+"""Where an object is; LOST if it is no longer on the table and was not washed."""
 OPTIONAL_COLUMNS = ("grip", "seen")
-"""Read as 0 where a log has none of them."""
+"""Read as 0 if a log lacks them."""
 HISTORY_COLUMNS = ("successes", "failures")
-"""Past attempts at an object, which a log may have; laws of grasping are learned from them."""
+"""Optional counts of past attempts at an object; laws of grasping are learned from them."""
 PLACE_COLUMNS = ("x_m", "y_m", "z_m")
-"""Where an object was seen last: right, away from the camera, and height over the table, as perception has it [m]. A
-log may have all of them or none."""
+"""Last observed place of an object: to the right, away from the camera, and height above the table, from perception
+[m]. A log has all of them or none."""
 ATTEMPT_BY = "attempt_by"
-"""Column of the robots that made the past attempts at an object; older logs have none."""
+"""Column of the robots that made the past attempts at an object; older logs lack it."""
 _LISTS = ("hidden_by", "attempt_occlusions", "attempt_succeeded")
 _NEEDED = ("location", "occlusion", "log_odds", "lifts", *_LISTS)
 _NEEDED_OF_ROBOT = ("does", "since_s", "decisions_to_go")
@@ -63,18 +63,18 @@ _OF_ENTRIES: tuple[tuple[str, Callable[[Values], Wrong], str], ...] = (
 
 
 def robots_in(logs: Logs | LogStream) -> int:
-    """Number of robots that a log tells of: 0_does, 1_does and so on; 0 for a log of one robot."""
+    """Number of robots with columns in a log: 0_does, 1_does and so on; 0 for a log of one robot."""
     there = logs.stage_covariates
     return sum(f"{r}_does" in there for r in range(len(there)))
 
 
 def most_decisions(logs: Logs | LogStream, num_robots: int) -> int:
-    """Most decisions that a robot of a log has to go, which is where a trajectory begins.
+    """Largest number of decisions to go of any robot in a log, reached where a trajectory begins.
 
     Raises
     ------
     LogError
-        A robot does not tell how many it has to go, or none has any.
+        The column of a robot is missing, or no robot has decisions to go.
     """
     columns = [f"{r}_decisions_to_go" for r in range(num_robots)]
     for column in columns:
@@ -88,26 +88,26 @@ def most_decisions(logs: Logs | LogStream, num_robots: int) -> int:
 
 
 def check_log(logs: Logs) -> None:
-    """Refuse what is no log of several robots, as a learner would; a `LogRecorder` asks it at each stage, as `check`.
+    """Check a log of several robots, as a learner does; a `LogRecorder` can run it at each stage, as its `check`.
 
     Raises
     ------
     LogError
-        It breaks a rule of tables or of robots; see `checked_tables`.
+        The log breaks a rule of tables or of robots; see `checked_tables`.
     """
     checked_tables(logs, is_team=True)
 
 
 def checked_tables(logs: Logs, horizon: int | None = None, *, is_team: bool | None = None) -> TableLog:
-    """Check a log of tables, and give its rows.
+    """Check a log of tables, and return its rows.
 
-    `horizon` is T, the decisions of all robots together; None where it is not known. Where `is_team`, it must tell
-    of robots, and is checked for what it tells of them; None where it does.
+    `horizon` is T, the number of decisions over all robots; None if it is unknown. If `is_team`, the log must have
+    columns of robots, and these are checked; if it is None, they are checked if present.
 
     Raises
     ------
     LogError
-        A rule is broken; the trajectory, the stage, the object or the robot, the value and the remedy are named.
+        A rule is broken; the message names the trajectory, stage, object or robot, the value and the remedy.
     """
     if logs.objects is None:
         raise LogError("objects: the log has none; a table is learned from logs with an objects table")
@@ -126,7 +126,7 @@ def checked_tables(logs: Logs, horizon: int | None = None, *, is_team: bool | No
 
 
 def _check_stages(log: TableLog) -> None:
-    """FINISH ends a trajectory, or what one of several robots does; actions are done to what is on the table."""
+    """Check that FINISH ends a trajectory, or the part of one robot of a team, and that targets are on the table."""
     stages, is_gone = log.logs.stages, (log.objects["location"] != TABLE).to_numpy(dtype=bool)
     is_finish, who = stages["action"].eq(Verb.FINISH.name), ["trajectory", *({ROBOT} & set(stages.columns))]
     late = is_finish.groupby([stages[name] for name in who]).shift(fill_value=False).to_numpy(dtype=bool)
@@ -143,7 +143,7 @@ def _check_stages(log: TableLog) -> None:
 
 
 def _check_whereabouts(log: TableLog) -> None:
-    """Objects may come into view late, but what was listed once is listed to the end; nothing is washed back."""
+    """Check that an object, once listed, is listed to the end, and that none leaves the dishwasher."""
     frame, number = log.objects, log.target
     trajectory_of_stage = frame["trajectory"].to_numpy()[log.first == np.arange(len(frame))]
     goes_on = np.append(trajectory_of_stage[1:] == trajectory_of_stage[:-1], False)[log.of_stage]
@@ -181,7 +181,7 @@ def _check_objects(log: TableLog) -> None:
 
 
 def _check_robots_there(log: TableLog) -> None:
-    """Stages and objects tell what they must of each robot, and of no other."""
+    """Check that stages and objects have the required columns of each robot, and of no other."""
     logs, last = log.logs, log.num_robots - 1
     each = [f"{r}_{what}" for r in range(max(log.num_robots, 1)) for what in _NEEDED_OF_ROBOT]
     require_columns("stages", logs.stages, (ROBOT, *each))
@@ -197,7 +197,7 @@ def _check_robots_there(log: TableLog) -> None:
 
 
 def _check_doings(log: TableLog, horizon: int | None) -> None:
-    """A robot decides when it is free and has a decision left, and no two are at one object."""
+    """Check that a robot decides only if it is free and has a decision left, and that no two act on one object."""
     stages, num_objects, robots = log.logs.stages, log.num_objects, range(log.num_robots)
     at = np.where(np.isin(log.does[..., 0], TARGETED), log.does[..., 1], NOTHING)
     since_s, to_go = log.of_robots("since_s"), log.of_robots("decisions_to_go")
@@ -228,7 +228,7 @@ def _check_doings(log: TableLog, horizon: int | None) -> None:
 
 
 def _check_workspace(log: TableLog) -> None:
-    """Lists name robots and objects that there are, and robots act on what they reach."""
+    """Check that lists name existing robots and objects, and that robots act on objects in reach."""
     frame, size = log.objects, np.bincount(log.of_stage)[log.of_stage]
     robots = np.full(len(frame), log.num_robots)
     no_robot = f"names a robot that there is none of; the stages tell of robots 0 to {log.num_robots - 1}"

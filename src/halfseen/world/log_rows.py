@@ -1,4 +1,4 @@
-"""The rows of a log of tables as arrays, as they are read off it; whether they can be so, `log_checks` tells."""
+"""The rows of a log of tables as arrays; `log_checks` checks their validity."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -15,19 +15,19 @@ from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import TARGETED, VERB_NAMES
 
 FREE, PARKED, OUT = "FREE", "PARKED", "OUT"
-"""What a robot does that is at nothing."""
+"""States of an idle robot."""
 NOTHING = -1
-"""Object of who is at none."""
+"""Object of a robot that acts on none."""
 IDLE = {FREE: -1, PARKED: -2, OUT: -3}
-"""Verbs of who is at nothing, below those of `Verb`."""
+"""Verbs of idle robots, below those of `Verb`."""
 OF_OBJECT = ("trajectory", "stage", "object")
-"""Columns that name a row of the objects."""
+"""Columns that identify a row of the objects table."""
 _UNKNOWN = -4
 
 
 @dataclass(frozen=True)
 class Lists:
-    """The entries of a list column one after the other, the row of each, and the length of each row's list."""
+    """A list column: its entries in order, the row of each entry, and the list length of each row."""
 
     row: Int[np.ndarray, " entries"]
     values: Float[np.ndarray, " entries"]
@@ -35,11 +35,11 @@ class Lists:
 
     @property
     def place(self) -> Int[np.ndarray, " entries"]:
-        """Of each entry in the list of its row, from 0."""
+        """Index of each entry in the list of its row, from 0."""
         return np.arange(len(self.row)) - np.repeat(np.cumsum(self.lengths) - self.lengths, self.lengths)
 
     def rows_with(self, wrong: Bool[np.ndarray, " entries"]) -> Bool[np.ndarray, " rows"]:
-        """Rows that have a wrong entry."""
+        """Rows with a wrong entry."""
         return np.bincount(self.row[wrong], minlength=len(self.lengths)) > 0
 
 
@@ -60,22 +60,22 @@ class TableLog:
 
     @property
     def num_objects(self) -> int:
-        """Most that a trajectory lists."""
+        """Largest number of objects in a trajectory."""
         return int(self.target.max(initial=0)) + 1
 
     @cached_property
     def first(self) -> Int[np.ndarray, " rows"]:
-        """First row of the stage that each row is of."""
+        """First row of each row's stage."""
         return np.arange(len(self.objects)) - self.objects.groupby(["trajectory", "stage"]).cumcount().to_numpy()
 
     @cached_property
     def of_stage(self) -> Int[np.ndarray, " rows"]:
-        """Number of the stage, among all stages, that each row is of."""
+        """Index of each row's stage among all stages."""
         return np.cumsum(self.first == np.arange(len(self.first))) - 1
 
     @cached_property
     def begun(self) -> Int[np.ndarray, " stages"]:
-        """Row of the object that each stage's action is done to; −1 where it has none."""
+        """Row of the target of each stage's action; −1 if it has none."""
         acted_on = self.logs.stages["object"].to_numpy(dtype=object, na_value=None)[self.of_stage]
         is_it = np.asarray(self.objects["object"].to_numpy(dtype=object) == acted_on, dtype=bool)
         row = np.full(len(self.logs.stages), NOTHING)
@@ -84,28 +84,28 @@ class TableLog:
 
     @cached_property
     def decider(self) -> Int[np.ndarray, " stages"]:
-        """Robot that decides in each stage; −1 where it is none of them."""
+        """Robot that decides in each stage; −1 if it is not a robot of the log."""
         return pd.Index(range(self.num_robots)).get_indexer(self.logs.stages[ROBOT]).astype(np.int32)
 
     @cached_property
     def does(self) -> Int[np.ndarray, "stages K 2"]:
-        """Verb, or one of `IDLE`, and object of what each robot is at."""
+        """Verb (or a value of `IDLE`) and object of each robot's current action."""
         return np.stack([_doing(self.logs.stages, r) for r in range(self.num_robots)], axis=1)
 
     def of_robots(self, what: str) -> Float[np.ndarray, "stages K"]:
-        """Number that the stages tell of each robot, such as since_s."""
+        """Stage column of each robot, such as since_s."""
         columns = (as_floats("stages", self.logs.stages, f"{r}_{what}") for r in range(self.num_robots))
         return np.stack([column.to_numpy() for column in columns], axis=1)
 
     @cached_property
     def is_reached(self) -> Bool[np.ndarray, "rows K"]:
-        """By whom each object is reached."""
+        """Which robots reach each object."""
         found, lists = np.zeros((len(self.objects), self.num_robots), dtype=bool), self.lists("reached_by")
         found[lists.row, lists.values.astype(np.int64)] = True
         return found
 
     def lists(self, column: str) -> Lists:
-        """Entries of a column of lists of numbers; null is refused."""
+        """Entries of a column of number lists; null raises an error."""
         if column not in self._lists:
             self._lists[column] = self._parsed(column)
         return self._lists[column]
@@ -125,12 +125,12 @@ class TableLog:
         return Lists(row, np.array(flat, dtype=np.float64), np.bincount(row, minlength=len(self.objects)))
 
     def refuse_objects(self, column: str, wrong: Any, trouble: str) -> None:
-        """Refuse the first object's row that is wrong, and show what its column holds."""
+        """Raise a `LogError` for the first wrong row of the objects, with its value in the column."""
         frame, wrong = self.objects, np.asarray(wrong, dtype=bool)
         refuse(frame, wrong, lambda row: f"{column} {trouble} (it is {shown(value_at(frame, column, row))})", OF_OBJECT)
 
     def refuse_stages(self, column: str, wrong: Any, trouble: str) -> None:
-        """Refuse the first stage that is wrong, likewise."""
+        """Raise a `LogError` for the first wrong stage, with its value in the column."""
         stages, wrong = self.logs.stages, np.asarray(wrong, dtype=bool)
         refuse(stages, wrong, lambda row: f"{column} is {shown(value_at(stages, column, row))}, {trouble}")
 
@@ -160,9 +160,9 @@ def _parsed(words: str) -> tuple[int, int]:
 
 
 def object_numbers(objects: pd.DataFrame) -> Int[np.ndarray, " rows"]:
-    """Number of each row's object among all that its trajectory ever lists, from 0, in the order of their names.
+    """Index of each row's object among all objects of its trajectory, from 0, in the order of their names.
 
-    A trajectory lists what came into view so far, so that the same object may be another row of a later stage.
+    A stage lists only the objects in view so far, so the row position of an object may change between stages.
     """
     trajectory, name = (
         pd.factorize(objects[column], sort=True)[0].astype(np.int64) for column in ("trajectory", "object")
@@ -172,7 +172,7 @@ def object_numbers(objects: pd.DataFrame) -> Int[np.ndarray, " rows"]:
 
 
 def begun_objects(logs: Logs) -> Int[np.ndarray, " stages"]:
-    """Number of the object that each stage's action is done to, −1 where it has none."""
+    """Index of the target of each stage's action; −1 if it has none."""
     assert logs.objects is not None
     log = TableLog(logs, logs.objects, 0)
     return np.where(log.begun >= 0, log.target[log.begun], NOTHING)

@@ -1,21 +1,21 @@
-"""From cut episodes to `Logs`, and from the logs of tables back to the states that a policy saw.
+"""Conversion of cut episodes to `Logs`, and of logs of tables back to the states that a policy saw.
 
-Per object and stage a log holds: location ("TABLE" or "DISHWASHER"; "LOST" where it is in neither), occlusion, grip
-(mean of its grip offset, from what shows of it), log_odds (of DIRTY), seen (share of its surface that labels have told
-of), successes and failures (of past grasps), lifts, and three lists: hidden_by (the share of it that each object of the
-scene hides alone, in the order of the objects), attempt_occlusions and attempt_succeeded (its past attempts, oldest
-first). Where grip or seen are 0 throughout, they are not written, and a log without them is read so.
-Per trajectory it holds the scene's name, and dirty_share: P(DIRTY) of an object before any label, which log_odds start
-from.
+Per object and stage, a log holds location ("TABLE" or "DISHWASHER"; "LOST" if it is in neither), occlusion, grip (mean
+of its grip offset, given what is observed), log_odds (of DIRTY), seen (share of its surface that labels have covered),
+successes and failures (of past grasps), lifts, and three lists: hidden_by (the share of it that each object of the
+scene hides alone, in object order), attempt_occlusions and attempt_succeeded (its past attempts, oldest first). The
+columns grip and seen are omitted if they are 0 throughout, and read as 0 if missing.
+Per trajectory, it holds the scene's name, and dirty_share: P(DIRTY) of an object before any label, where log_odds
+start.
 
-Where several robots work, a stage holds, too, `robot` (which decided, from 0) and, for each robot r, what it was at
-when that stage began: r_does ("WASH 3", "WAIT", "FREE", "PARKED", "OUT"), r_since_s (for how long, 0 where it is free)
-and r_decisions_to_go; and r_reward, what the stage would have paid it had it been alone (its own attempts that ended in
-it, the price of its seconds, and at its own end that of what was left dirty in its reach).
-Where robots may drop out, a trajectory holds r_out_s and r_out_cause, null where robot r did not.
-Per object there are three lists more: reached_by (numbers of the robots that reach it), near (the objects of the stage
-that are too near to it for two robots at once, by their place among these, itself included) and attempt_by (which robot
-made each of its past attempts, oldest first), which a log may leave out.
+For a team, a stage also holds `robot` (the robot that decided, from 0) and, for each robot r, its state when the stage
+began: r_does ("WASH 3", "WAIT", "FREE", "PARKED", "OUT"), r_since_s (elapsed time, 0 if it is free) and
+r_decisions_to_go; and r_reward, the reward of the stage had the robot been alone (its own attempts that ended in it,
+the price of its seconds, and at its own end the penalty for dirty objects left in its reach).
+If robots may drop out, a trajectory holds r_out_s and r_out_cause, null if robot r did not drop out.
+Each object has three more lists: reached_by (the robots that reach it), near (indices of the stage's objects that are
+too near to it for two robots at once, itself included) and, optionally, attempt_by (the robot of each of its past
+attempts, oldest first).
 """
 
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ def to_logs(
     dirty_share: Number | None = None,
     drop_out_cause: str = DROP_OUT_CAUSE,
 ) -> Logs:
-    """Write down what a recorder would have kept of these episodes.
+    """Convert episodes to the logs that a recorder would have kept.
 
     Parameters
     ----------
@@ -55,11 +55,11 @@ def to_logs(
     kind
         How they were cut.
     scenes
-        Where they began.
+        Their initial scenes.
     dirty_share
-        P(DIRTY) of an object before any label, from which the log-odds started; None if it is not to be told.
+        P(DIRTY) of an object before any label, where the log-odds start; None to omit it.
     drop_out_cause
-        What it is called when one of several robots drops out alone.
+        Cause recorded when one of several robots drops out alone.
     """
     begun, num_trajectories = np.argwhere(cuts.is_begun), len(cuts.end_s)
     cause = np.full(num_trajectories, CAUSES[kind], dtype=object)
@@ -84,7 +84,7 @@ def elapsed_s(cuts: CutEpisodes) -> Float[np.ndarray, "n T"]:
 
 
 def _stage_columns(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> dict[str, Any]:
-    """What was done in the stages that were begun, (trajectory, stage) from 0."""
+    """Actions, rewards and times of the stages that were begun, given as (trajectory, stage) from 0."""
     trajectory, stage = begun.T
     episodes, actions = cuts.episodes, ActionSpace(cuts.episodes.states.num_objects)
     action = episodes.action[trajectory, stage]
@@ -101,7 +101,7 @@ def _stage_columns(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> dict[
 
 
 def _robot_columns(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> dict[str, Any]:
-    """Who of several robots decided, what each was at, and what it would have been paid alone."""
+    """For a team: the deciding robot, what each robot was doing, and the reward of each had it been alone."""
     episodes, at = cuts.episodes, (*begun.T,)
     states, paid_alone = episodes.states, episodes.paid_alone
     if states.robots is None or states.decider is None or paid_alone is None:
@@ -126,7 +126,7 @@ def _robot_columns(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> dict[
 
 
 def objects_of(states: TableState, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
-    """What was seen of each object in the stages that were begun, both indexed from 0; of states with axes (n, T)."""
+    """Observations of each object in the stages that were begun (indexed from 0); states have axes (n, T)."""
     is_object = states.is_object[:, 0][begun[:, 0]]
     row, target = np.nonzero(is_object)
     trajectory, stage = begun[row].T
@@ -163,18 +163,18 @@ def objects_of(states: TableState, begun: Int[np.ndarray, "rows 2"]) -> pa.Table
 
 
 def _lists(values: np.ndarray, is_kept: Bool[np.ndarray, "rows k"]) -> pa.ListArray:
-    """A list a row, of the values that are kept."""
+    """One list per row, of the values that are kept."""
     offsets = np.concatenate([[0], np.cumsum(is_kept.sum(axis=1))]).astype(np.int32)
     return pa.ListArray.from_arrays(pa.array(offsets), pa.array(np.broadcast_to(values, is_kept.shape)[is_kept]))
 
 
 def states_of(logs: Logs, horizon: int) -> TableState:
-    """Rebuild S_t of every stage of a log of tables, axes (n, T); what has no row is an empty table.
+    """Rebuild S_t of every stage of a log of tables, axes (n, T); a stage without rows is an empty table.
 
-    Objects are numbered as `object_numbers` does; one that is not in view yet is padding until it is. Where the log
-    tells of robots, so do the states; where there is no row, nobody is at the table.
+    Objects are numbered by `object_numbers`; an object not yet in view is padding. If the log has columns of robots,
+    the states hold robots, but none at a table without rows.
 
-    `horizon` is T, the decisions of all robots together.
+    `horizon` is T, the number of decisions over all robots.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def states_of(logs: Logs, horizon: int) -> TableState:
 
     types = {"grip": np.float32, "log_odds": np.float32, "seen": np.float32, "lifts": np.int32}
     numbers = {name: each(frame.get(name, 0), dtype) for name, dtype in types.items()}
-    # Lists go by the objects of their stage; states by those of the trajectory.
+    # Lists are indexed by the objects of their stage, states by those of the trajectory.
     hidden_by = log.lists("hidden_by")
     hider = log.target[log.first[hidden_by.row] + hidden_by.place]
     hides = (*(index[hidden_by.row] for index in at), hider)
@@ -211,14 +211,14 @@ def _stage_places(logs: Logs, frame: pd.DataFrame) -> tuple[Int[np.ndarray, " ro
 
 
 def spread(values: np.ndarray, at: tuple[np.ndarray, ...], shape: tuple[int, ...], fill: float | int = 0) -> np.ndarray:
-    """Put values at their places along the axes of a shape, and what fills it elsewhere."""
+    """Scatter values to their indices in an array of a shape, filled elsewhere with `fill`."""
     found = np.full((*shape, *values.shape[1:]), fill, dtype=values.dtype)
     found[at] = values
     return found
 
 
 def _attempts(log: TableLog, at: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> dict[str, Any]:
-    """Attempts of each stage's history, gathered from the objects; their order across objects carries nothing."""
+    """Past attempts of each stage, gathered from the objects; their order across objects has no meaning."""
     occluded, succeeded = log.lists("attempt_occlusions"), log.lists("attempt_succeeded")
     trajectory, stage, target = (index[occluded.row] for index in at)
     slot = pd.Series(trajectory).groupby([trajectory, stage]).cumcount().to_numpy()
@@ -240,7 +240,7 @@ def _attempts(log: TableLog, at: tuple[np.ndarray, ...], shape: tuple[int, ...])
 
 
 def _of_robots(log: TableLog, at: tuple[np.ndarray, ...], shape: tuple[int, int, int]) -> dict[str, Any]:
-    """Who decides, what each robot is at, and who can work where."""
+    """The deciding robot, what each robot is doing, and the workspace."""
     of_stage, (verb, target) = _stage_places(log.logs, log.logs.stages), np.moveaxis(log.does, -1, 0)
 
     def each(values: np.ndarray, dtype: Any) -> np.ndarray:

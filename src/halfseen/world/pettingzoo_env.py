@@ -1,4 +1,4 @@
-"""A team's table behind PettingZoo's interface of agents that act in turn (AEC): an agent a robot."""
+"""A team's table as a PettingZoo environment of agents that act in turn (AEC), one agent per robot."""
 
 from copy import deepcopy
 from typing import Any, ClassVar
@@ -15,28 +15,28 @@ from halfseen.world.envs import Observation, TeamCupsEnv
 class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
     """A table of half-hidden cups before several robots: agents ``robot_0``, ``robot_1`` and so on.
 
-    The agent that is selected is the robot that is free (of several, the lowest number); it begins its action, and time
-    passes until the next decision. All that is paid until then is the reward of every agent: they work for one table.
+    The selected agent is the robot that is free (of several, the lowest number). It begins its action, and time passes
+    until the next decision. Every agent receives the table's reward until then, since they work as a team.
 
-    An agent *terminates* with the table: cleared, or every robot parked, dropped out or out of decisions. A robot that
-    has parked stays an agent until then, and is paid as the others are, so that all that its FINISH led to is in its
-    return. An agent is *truncated* where something outside the task ended it: when its robot drops out alone, while the
-    others go on, or when a cut ends the table for all. ``infos[agent]["cause"]`` then tells why.
+    An agent *terminates* with the table: cleared, or every robot parked, dropped out or out of decisions. A parked
+    robot stays an agent until then and receives the same rewards, so that its return includes all effects of its
+    FINISH. An agent is *truncated* if something outside the task ended it: its robot dropped out while the others go
+    on, or a cut ended the table for all. ``infos[agent]["cause"]`` then gives the cause.
 
-    An observation is a dictionary: ``"observation"``, as of `TeamCupsEnv` (decider is the agent's own robot), and
-    ``"action_mask"``, which stands in the infos, too; of an agent that is not selected it is 0.
+    An observation is a dictionary: ``"observation"``, as in `TeamCupsEnv` (decider is the agent's own robot), and
+    ``"action_mask"``, also in the infos, which is 0 for an agent that is not selected.
 
     Parameters
     ----------
     scenes, team, num_objects, config, cut_rate, render_mode
-        As of `TeamCupsEnv`.
+        As in `TeamCupsEnv`.
 
     Raises
     ------
     SceneError
-        There is no scene, one has more objects than `num_objects`, or does not tell where they stand.
+        There is no scene, or one has more objects than `num_objects` or lacks their places.
     ArgumentError
-        `cut_rate` is negative or not finite, or `render_mode` unknown.
+        `cut_rate` is negative or not finite, or `render_mode` is unknown.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -53,15 +53,15 @@ class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
         self.possible_agents = [f"robot_{r}" for r in range(self.table.config.num_robots)]
         mask = spaces.MultiBinary(self.table.num_actions)
         seen = spaces.Dict({"observation": self.table.observation_space, "action_mask": mask})
-        # Of its own, so that each agent's spaces can be seeded and drawn from.
+        # Copies, so that each agent's spaces can be seeded and sampled separately.
         self._spaces = {agent: deepcopy((seen, self.table.action_space)) for agent in self.possible_agents}
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """Space of an agent's observations."""
+        """Observation space of an agent."""
         return self._spaces[agent][0]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """Space of an agent's actions: FINISH, WASH and LIFT of each object, WAIT."""
+        """Action space of an agent: FINISH, WASH and LIFT of each object, WAIT."""
         return self._spaces[agent][1]
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
@@ -77,12 +77,12 @@ class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
         self.infos = {agent: {**self.table.info(r), "episode_seed": episode_seed} for r, agent in self._all()}
 
     def observe(self, agent: str) -> Observation:
-        """Give what an agent sees now."""
+        """Return an agent's current observation."""
         robot = self.possible_agents.index(agent)
         return {"observation": self.table.observation(robot), "action_mask": self.table.action_mask(robot)}
 
     def step(self, action: np.integer | int | None) -> None:
-        """Let the selected robot begin an action; of an agent that has ended, the action is None.
+        """Let the selected robot begin an action; for an agent that has ended, the action is None.
 
         Raises
         ------
@@ -113,12 +113,12 @@ class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
         self._deads_step_first()
 
     def render(self) -> str | None:
-        """Write the table as text, a line a robot and one an object; None unless the mode is ``"ansi"``."""
+        """Render the table as text, one line per robot and object; None unless the mode is ``"ansi"``."""
         return self.table.render()
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing: there is nothing to close."""
 
     def _all(self) -> list[tuple[int, str]]:
-        """The agents that are there, with the numbers of their robots."""
+        """Active agents with the numbers of their robots."""
         return [(r, agent) for r, agent in enumerate(self.possible_agents) if agent in self.agents]

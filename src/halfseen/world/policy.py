@@ -1,7 +1,4 @@
-"""What decides: one interface for heuristics, planners and what was learned.
-
-What the probability of a grasp may be taken from: one interface for what was learned and what is known.
-"""
+"""The interface of policies (heuristics, planners, learned ones), and that of grasp models, learned or known."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -19,7 +16,7 @@ from halfseen.world.state import TableState
 
 
 class Decision(NamedTuple):
-    """An action and how likely the policy was to take it (NaN where it cannot say)."""
+    """An action and its propensity, the probability that the policy takes it (NaN if unknown)."""
 
     action: Int[Array, "*B"]
     probability: Float[Array, "*B"]
@@ -27,32 +24,32 @@ class Decision(NamedTuple):
 
 @runtime_checkable
 class Policy(Protocol):
-    """Decides for each table of a batch from what is seen of it, for the robot that is free where there are several."""
+    """Decides for each table of a batch from its observed state; in a team, for the robot that is free."""
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose a possible action for each table; its key is the only source of randomness."""
+        """Choose a possible action for each table; `key` is the only source of randomness."""
         ...
 
 
 def surely(action: Int[Array, "*B"]) -> Decision:
-    """A deterministic decision."""
+    """Return a deterministic decision."""
     action = action.astype(np.int32)
     return Decision(action, library_of(action).ones(action.shape, dtype=np.float32))
 
 
 def uniformly(is_possible: Bool[Array, "*B A"], key: Key) -> Decision:
-    """Each possible action with the same probability."""
+    """Draw each possible action with the same probability."""
     num_possible = library_of(is_possible).sum(is_possible, axis=-1).astype(np.float32)
     return Decision(random.one_of(key, is_possible), 1.0 / num_possible)
 
 
 class ByValue:
-    """Takes the action that its own `q_values` put first; nothing is drawn."""
+    """Takes the action with the largest of its `q_values`; deterministic."""
 
     q_values: Callable[..., Any]
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose; deterministic."""
+        """Choose an action; deterministic."""
         return surely(library_of(state.log_odds).argmax(self.q_values(state), axis=-1))
 
 
@@ -67,14 +64,14 @@ class UniformPolicy:
 
 @record
 class ExploringPolicy:
-    """Follows a policy, but in a proportion of the steps takes an action uniformly at random: what fills the logs.
+    """Behaviour policy for logs: follows a base policy, but takes a uniformly random action in a share of the steps.
 
     Parameters
     ----------
     base
-        The policy that is followed.
+        The policy to follow.
     random_share
-        Probability that a step takes one of the possible actions uniformly at random instead.
+        Probability of a uniformly random possible action at each step.
 
     Raises
     ------
@@ -89,7 +86,7 @@ class ExploringPolicy:
         check_number("random_share", self.random_share)
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Toss for one of two decisions, with the probability that the mixture gives to what comes out."""
+        """Draw a decision from the mixture, with its probability under the mixture."""
         base_key, coin_key, uniform_key = random.split(key, 3)
         base, uniform = self.base.decide(state, base_key), UniformPolicy().decide(state, uniform_key)
         xp, share = library_of(base.action), self.random_share
@@ -99,15 +96,15 @@ class ExploringPolicy:
 
 
 def check_fits(policy: Any, config: WorldConfig) -> None:
-    """Refuse a policy that is not for a team, in itself or in what it builds upon.
+    """Check that a policy, and the policy it builds on, fit a team.
 
-    By `num_robots` a policy tells for how many robots it is, unless it is for any number; by `num_stages` for how
-    many of their decisions, if it was learned for so many.
+    A policy states its number of robots as `num_robots`, unless it takes any number, and the number of decisions for
+    which it was learned, if any, as `num_stages`.
 
     Raises
     ------
     PolicyError
-        It is for another number of robots, for another number of their decisions, or for a robot alone.
+        It is for another number of robots or of decisions, or for a single robot.
     """
     check_decides_for(policy, config.num_robots)
     base = getattr(policy, "base", None)
@@ -123,14 +120,14 @@ def check_fits(policy: Any, config: WorldConfig) -> None:
 
 
 def check_decides_for(policy: Any, num_robots: int) -> None:
-    """Refuse a policy for another number of robots, or for one that works alone.
+    """Check that a policy is for a team of `num_robots`.
 
     Raises
     ------
     PolicyError
-        As above.
+        It is for another number of robots, or for a single robot.
     """
-    # An attribute of the class: what several robots decide by has the number of each instance.
+    # A class attribute marks policies for one robot; policies for teams set it per instance.
     if getattr(type(policy), "num_robots", None) == 1:
         raise PolicyError(
             f"{type(policy).__name__} decides for one robot, and a team's policy knows what the others are at; give "
@@ -145,7 +142,7 @@ def check_decides_for(policy: Any, num_robots: int) -> None:
 
 @runtime_checkable
 class GraspModel(Protocol):
-    """Tells how likely an attempt on each object is to succeed now."""
+    """Estimates the success probability of an attempt on each object."""
 
     def probability(self, state: TableState) -> Float[Array, "*B N"]:
         """P(an attempt succeeds) for each object, given its occlusion and its past attempts."""

@@ -1,8 +1,8 @@
 """Draws as a function of (seed, episode, step): the counter-based generator Threefry-2×32 [Salmon2011]_.
 
-A key is two words of 32 bits, the last axis of an array, with any axes in front; each member of a batch draws from its
-own. Nothing is kept from one draw to the next, so batch, backend and number of workers change no draw. NumPy and JAX
-compute the same bits, and they are those of `jax.random` with its default generator.
+A key is two 32-bit words, the last axis of an array with any leading axes; each member of a batch draws from its own
+key. Draws have no state, so they do not depend on batch size, backend or number of workers. NumPy and JAX compute the
+same bits, those of `jax.random` with its default generator.
 """
 
 import math
@@ -17,9 +17,9 @@ Key = UInt32[Any, "*B 2"]
 _PARITY = np.uint32(0x1BD11BDA)
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 _TURNS = [[(np.array(by, dtype=np.uint32), np.array(32 - by, dtype=np.uint32)) for by in of] for of in _ROTATIONS]
-"""Bits to the left, and to the right; NumPy takes arrays without axes faster than numbers."""
+"""Left and right shifts of each rotation; NumPy handles zero-dimensional arrays faster than scalars."""
 _AT_ONCE = 28672
-"""Words that stay in the nearest caches of a core while they are turned."""
+"""Number of words rotated at once, which stay in the nearest caches of a core."""
 _CENTRAL = (2.81022636e-08, 3.43273939e-07, -3.5233877e-06, -4.39150654e-06, 0.00021858087, -0.00125372503)
 _CENTRAL += (-0.00417768164, 0.246640727, 1.50140941)
 _TAIL = (-0.000200214257, 0.000100950558, 0.00134934322, -0.00367342844, 0.00573950773, -0.0076224613)
@@ -29,12 +29,12 @@ _ABOVE_MINUS_1 = float(np.nextafter(np.float32(-1.0), np.float32(0.0)))
 
 
 def key_of(seed: int) -> UInt32[np.ndarray, "2"]:
-    """Key of a seed: its two words of 32 bits."""
+    """Key of a seed: its two 32-bit words."""
     return np.array([(int(seed) >> 32) & 0xFFFFFFFF, int(seed) & 0xFFFFFFFF], dtype=np.uint32)
 
 
 def fold_in(key: UInt32[Any, "*#B 2"], number: Int[Any, "*#B"] | int) -> UInt32[Any, "*S 2"]:
-    """Key of a numbered part of what a key is for: an episode, a step, an object."""
+    """Derive the key of a numbered part: an episode, a step, an object."""
     xp = library_of(key, number)
     word, one, other = xp.asarray(number).astype(np.uint32), key[..., 0], key[..., 1]
     word = word.reshape((1,) * (max(one.ndim - word.ndim, 0) + 1) + word.shape)
@@ -42,25 +42,25 @@ def fold_in(key: UInt32[Any, "*#B 2"], number: Int[Any, "*#B"] | int) -> UInt32[
 
 
 def split(key: Key, num: int = 2) -> tuple[Key, ...]:
-    """So many keys, for independent draws."""
+    """Split a key into `num` keys for independent draws."""
     numbers = library_of(key).arange(num).reshape((num,) + (1,) * (key.ndim - 1))
     return tuple(fold_in(key[None], numbers))
 
 
 def keys_of(key: Key, num: int) -> UInt32[Any, "*B S 2"]:
-    """So many keys, along an axis of their own."""
+    """Split each key into `num` keys along a new axis."""
     return fold_in(key[..., None, :], library_of(key).arange(num))
 
 
 def uniform(key: Key, *shape: int) -> Float[Any, "*S"]:
-    """Draw from [0, 1), for each key as many as the shape says; float32."""
+    """Draw uniformly from [0, 1), an array of `shape` for each key; float32."""
     words = _words(key, shape)
-    # Of 32 bits a float32 in [1, 2) holds 23.
+    # A float32 in [1, 2) holds 23 of the 32 bits.
     return (words >> np.uint32(9)).astype(np.float32) * np.float32(2.0**-23)
 
 
 def _between(key: Key, shape: tuple[int, ...], low: float) -> Any:
-    """Draw from [low, 1)."""
+    """Draw uniformly from [low, 1)."""
     least = np.float32(low)
     found = uniform(key, *shape) * (np.float32(1.0) - least) + least
     return library_of(found).maximum(found, least)
@@ -73,14 +73,14 @@ def exponential(key: Key, *shape: int) -> Float[Any, "*S"]:
 
 
 def log_uniform(key: Key, *shape: int) -> Float[Any, "*S"]:
-    """Logarithm of a draw from [0, 1), which may be −∞."""
+    """Draw the logarithm of a uniform number in [0, 1), which may be −∞."""
     drawn = uniform(key, *shape)
     xp = library_of(drawn)
     return xp.where(drawn > 0.0, xp.log(xp.where(drawn > 0.0, drawn, np.float32(1.0))), np.float32(-np.inf))
 
 
 def normal(key: Key, *shape: int) -> Float[Any, "*S"]:
-    """Draw from N(0, 1), by the inverse of the error function [Giles2012]_."""
+    """Draw from N(0, 1), by the inverse error function [Giles2012]_."""
     drawn = _between(key, shape, _ABOVE_MINUS_1)
     xp = library_of(drawn)
     width = -xp.log1p(-drawn * drawn)
@@ -98,9 +98,9 @@ def _polynomial(coefficients: tuple[float, ...], at: Any) -> Any:
 
 
 def categorical(key: Key, logits: Float[Any, "*S A"]) -> Int[Any, "*S"]:
-    """Draw a number with probabilities proportional to exp(logits), by the largest of perturbed logits.
+    """Draw an index with probabilities proportional to exp(logits), by the Gumbel-max trick.
 
-    Of logits with more axes than keys have in front, each row has a draw of its own.
+    If logits have more leading axes than the keys, each row has its own draw.
     """
     xp = library_of(key, logits)
     drawn = _between(key, logits.shape[key.ndim - 1 :], _TINY)
@@ -108,12 +108,12 @@ def categorical(key: Key, logits: Float[Any, "*S A"]) -> Int[Any, "*S"]:
 
 
 def one_of(key: Key, is_possible: Bool[Any, "*B A"]) -> Int[Any, "*B"]:
-    """Draw one of what is possible, each with the same probability."""
+    """Draw one of the possible indices, each with the same probability."""
     xp = library_of(key, is_possible)
-    # As `categorical` has it for equal logits: of what is drawn neither scale nor logarithm changes the order.
+    # Equals `categorical` with equal logits: its scaling and logarithms do not change the order of the draws.
     drawn = (_words(key, is_possible.shape[-1:]) >> np.uint32(9)).astype(np.int32)
     drawn = xp.where(is_possible, drawn, np.int32(-1))
-    # Of truth values NumPy finds the first without a copy of numbers.
+    # On booleans, NumPy's argmax stops at the first and makes no copy.
     return xp.argmax(drawn == xp.max(drawn, axis=-1, keepdims=True), axis=-1).astype(np.int32)
 
 
@@ -122,12 +122,12 @@ def _words(key: Key, shape: tuple[int, ...]) -> UInt32[Any, "*S"]:
     one, other = key[..., 0], key[..., 1]
     count = xp.arange(num, dtype=np.uint32).reshape((num,) + (1,) * one.ndim)
     first, second = _threefry(one, other, count)
-    # Laid out as `state.batch_last` has it.
+    # Memory layout as in `state.batch_last`.
     return first_last(first ^ second).reshape(key.shape[:-1] + shape)
 
 
 def _threefry(one: Any, other: Any, second: Any) -> tuple[Any, Any]:
-    """Threefry-2×32 with 20 rounds: the counter (0, second) under a key of two words; one axis at least."""
+    """Threefry-2×32 with 20 rounds: the counter (0, second) under a key of two words; at least one axis."""
     if library_of(one, second) is not np:
         return _rounds(one, other, second)
     shape = np.broadcast_shapes(one.shape, second.shape)
@@ -154,7 +154,7 @@ def _rounds(one: Any, other: Any, second: Any) -> tuple[Any, Any]:
 
 
 def _rounds_in_place(one: np.ndarray, other: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As `_rounds`, in three buffers."""
+    """Compute `_rounds` in three buffers."""
     schedule, second = _schedule(one, other), second + other
     first, turned = np.empty_like(second), np.empty_like(second)
     first[...] = one
@@ -171,6 +171,6 @@ def _rounds_in_place(one: np.ndarray, other: np.ndarray, second: np.ndarray) -> 
 
 
 def _schedule(one: Any, other: Any) -> list[tuple[Any, Any]]:
-    """What is added to both words after each four rounds."""
+    """Key schedule: the terms added to both words after every four rounds."""
     words = (one, other, one ^ other ^ _PARITY)
     return [(words[(k + 1) % 3], words[(k + 2) % 3] + np.uint32(k + 1)) for k in range(5)]

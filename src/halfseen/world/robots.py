@@ -1,8 +1,8 @@
-"""The robots at a table: where each stands, how far it reaches, how fast it works; and how scenes stand before them.
+"""The robots at a table (base, reach, speed), and the layout of scenes before them.
 
-A team may come from a file, TOML or JSON::
+A team can be read from a TOML or JSON file::
 
-    clearance_m = 0.12          # may be left out, as may what follows but base_m and reach_m
+    clearance_m = 0.12          # optional, like all other keys except base_m and reach_m
     reward_per_s = -0.05
 
     [[robot]]
@@ -11,7 +11,7 @@ A team may come from a file, TOML or JSON::
     reach_m = 0.7
     speed = 1.0
     drop_out_rate = 0.001
-    law = "assumed"             # of grasping, by a name that anyone who reads the file knows; the world's if left out
+    law = "assumed"             # name of its law of grasping, resolved by `read_team`; default: the world's law
 """
 
 import warnings
@@ -30,7 +30,7 @@ from halfseen.world.scene import Scene
 from halfseen.world.state import Layout, Workspace, pad_scenes, padded
 
 CLEARANCE_M = 0.12
-"""Distance below which two objects are too near for two robots at once [m]: two open grippers side by side."""
+"""Distance below which two objects are too near for two robots at once: two open grippers side by side [m]."""
 
 
 @dataclass(frozen=True)
@@ -40,23 +40,24 @@ class Robot:
     Parameters
     ----------
     base_m
-        Where it stands, (x, y), in the frame of `Scene.places_m`: right of the camera's foot, and away from it [m].
+        Position of its base, (x, y), in the frame of `Scene.places_m`: right of the camera's foot, and away from it
+        [m].
     reach_m
-        How far from there it can grasp [m].
+        Largest distance from the base at which it can grasp [m].
     speed
-        What takes the law of the world so many seconds takes it that, divided by its speed.
+        Relative speed: all durations of the world are divided by it.
     name
-        What it is called in messages.
+        Its name in messages.
     drop_out_rate
         Hazard that it drops out (battery, e-stop), by the table's clock [1/s].
     grasping
-        How its attempts go; None for the law of the world.
+        Law of its attempts; None for the law of the world.
 
     Raises
     ------
     ArgumentError
-        `base_m` is not two finite numbers, `name` no text, `grasping` no law, or another is no finite number, reach or
-        speed not above 0, or the hazard below it.
+        `base_m` is not two finite numbers, `name` is not a text, `grasping` is not a law, another number is not finite,
+        reach or speed is not positive, or the hazard is negative.
     """
 
     base_m: Sequence[float | int]
@@ -72,14 +73,14 @@ class Robot:
 
 
 def check_robot(given: Mapping[str, Any]) -> None:
-    """Refuse what no robot is: see `Robot`.
+    """Check the parameters of a `Robot`.
 
-    What has a default may be left out, but for the name.
+    Those with a default may be missing, except the name.
 
     Raises
     ------
     ArgumentError
-        As above.
+        A parameter is invalid; see `Robot`.
     """
     base, name = given["base_m"], given["name"]
     if not (isinstance(name, str) and name.strip()):
@@ -102,14 +103,14 @@ class Team:
     robots
         The robots, robot 0 first.
     clearance_m
-        Objects nearer than that are too near for two robots at once [m].
+        Distance below which two objects are too near for two robots at once [m].
     reward_per_s
         Price of each second of the table's clock; 0 or below [1/s].
 
     Raises
     ------
     ArgumentError
-        There is no robot, what is among them is none, or a number is none that it can be.
+        There is no robot, an entry is not a `Robot`, or a number is out of range.
     """
 
     robots: tuple[Robot, ...]
@@ -127,7 +128,7 @@ class Team:
         check_number("reward_per_s", self.reward_per_s)
 
     def config(self, world: WorldConfig) -> WorldConfig:
-        """Give the numbers of this team in a world, and there the law of grasping of each robot, if one has its own."""
+        """Set this team's parameters in a world, with a law of grasping for each robot if any has its own."""
         rates = tuple(robot.drop_out_rate for robot in self.robots)
         laws = tuple(world.grasping if robot.grasping is None else robot.grasping for robot in self.robots)
         has_own = any(robot.grasping is not None for robot in self.robots)
@@ -140,14 +141,14 @@ class Team:
         )
 
     def workspace(self, scene: Scene) -> Workspace:
-        """Tell what each robot reaches, and which objects are too near one another for two robots at once.
+        """Find the objects that each robot reaches, and the pairs of objects too near for two robots at once.
 
-        An object that nobody reaches is warned of: it will be left.
+        An object in no robot's reach raises a warning, because it will be left.
 
         Raises
         ------
         SceneError
-            The scene does not tell where its objects stand.
+            The scene lacks the places of its objects.
         """
         if scene.places_m is None:
             raise SceneError(f"{scene.name}: places_m is None, so nobody knows who reaches what; give each a place")
@@ -162,12 +163,12 @@ class Team:
         return Workspace(is_in_reach, (apart_m < self.clearance_m) | np.eye(scene.num_objects, dtype=bool))
 
     def layouts(self, scenes: Sequence[Scene], num_objects: int | None = None) -> Layout:
-        """Set scenes before the team, padded to a common number of objects.
+        """Lay out scenes before the team, padded to a common number of objects.
 
         Raises
         ------
         SceneError
-            There is no scene, one has no object, or more than `num_objects`, or does not tell where they stand.
+            There is no scene; or one has no object, more than `num_objects`, or no places.
         """
         tables, spaces = pad_scenes(scenes, num_objects), [self.workspace(scene) for scene in scenes]
         size = tables.is_object.shape[-1]
@@ -186,16 +187,15 @@ def read_team(path: str | Path, law_of: Callable[[str], GraspLaw] | None = None)
     Parameters
     ----------
     path
-        A TOML file, or a JSON file of the same keys with the ending .json.
+        A TOML file, or a JSON file with the same keys and the suffix .json.
     law_of
-        Gives the law of grasping of a name, for robots with a `law`; None where none has one. On the command line a
-        name is what `--law` takes, a folder being looked for beside the file.
+        Maps a name to a law of grasping, for robots with a `law`; None if no robot has one. On the command line a name
+        is a value of `--law`, and a folder is looked up next to the file.
 
     Raises
     ------
     ArgumentError
-        The file cannot be read, a key is unknown or missing, a value is none that it can be, or two robots have one
-        name.
+        The file cannot be read, a key is unknown or missing, a value is invalid, or two robots have the same name.
     """
     with within(path):
         given = _parsed(Path(path))

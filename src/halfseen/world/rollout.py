@@ -1,4 +1,4 @@
-"""Many tables played to their end."""
+"""Simulation of many tables to their end."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple, TypeAlias
@@ -15,25 +15,25 @@ from halfseen.world.state import HiddenState, Layout, TableState
 from halfseen.world.transition import Outcome, start, step
 
 BATCH = 512
-"""Tables that are played at once: their arrays stay in the cache of a core. It changes nothing of what comes out."""
+"""Number of tables played at once, whose arrays stay in the cache of a core. It does not change the results."""
 SIDE_BY_SIDE = 2048
-"""Tables of several policies that are played at once, about; nor does this."""
+"""Approximate number of tables of several policies played at once. It does not change the results."""
 
 
 @record
 class Episodes:
-    """Trajectories that nothing cut, stage by stage; `is_taken` is False after the trajectory's own end."""
+    """Uncut trajectories, stage by stage; `is_taken` is False after a trajectory's own end."""
 
     states: TableState
     """S_t, axes (B, T)."""
     action: Int[Array, "*B T"]
     probability: Float[Array, "*B T"]
-    """Of the logged action, under the policy that took it."""
+    """Propensity of the logged action under the behaviour policy."""
     reward: Float[Array, "*B T"]
     duration_s: Float[Array, "*B T"]
     is_taken: Bool[Array, "*B T"]
     hidden: HiddenState
-    """As the table was set; for tests and oracles, it never reaches a log."""
+    """Initial hidden state, for tests and oracles; it never enters a log."""
     paid_alone: Float[Array, "*B T K"] | None = None
     out_s: Float[Array, "*B T K"] | None = None
     """As in `Outcome`."""
@@ -47,7 +47,7 @@ class Episodes:
 
 @record
 class Totals:
-    """What a policy earned on each of B tables."""
+    """Total reward of a policy on each of B tables, with duration and number of steps."""
 
     reward: Float[Array, "*B"]
     robot_s: Float[Array, "*B"]
@@ -56,7 +56,7 @@ class Totals:
 
 
 class Stage(NamedTuple):
-    """What happened in a stage, whether or not the trajectory was already over."""
+    """Record of a stage, even if the trajectory was already over."""
 
     state: TableState
     decision: Decision
@@ -65,35 +65,35 @@ class Stage(NamedTuple):
 
 
 def play(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, num_episodes: int) -> Episodes:
-    """Play tables and record every stage; episode k uses layout k modulo their number."""
+    """Play tables and record every stage; episode k uses layout k modulo the number of layouts."""
     return in_parts(_recorded, config, layouts, policy, key, np.arange(num_episodes))
 
 
 def evaluate(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, num_episodes: int) -> Totals:
-    """Play the tables that `play` would and keep only the totals."""
+    """Play the same tables as `play`, but keep only the totals."""
     return evaluate_some(config, layouts, policy, key, np.arange(num_episodes))
 
 
 def evaluate_some(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[Array, " B"]) -> Totals:
-    """Play some of the tables that `play` would, by number, and keep only the totals."""
+    """Play some of the tables of `play`, by number, and keep only the totals."""
     return in_parts(_totals, config, layouts, policy, key, episode)
 
 
 def evaluate_each(
     config: WorldConfig, layouts: Layout, policies: Sequence[Policy], key: Key, num_episodes: int
 ) -> list[Totals]:
-    """What `evaluate` says of each policy; they play side by side, which takes less time than one after the other."""
+    """Result of `evaluate` for each policy; playing them side by side is faster than one after another."""
     return side_by_side(_totals, config, layouts, policies, key, np.arange(num_episodes))
 
 
 Measure: TypeAlias = Callable[[WorldConfig, Layout, Policy, Key, Int[Array, " B"]], Tree]
-"""Plays some tables, by number, and gives a record of them with the axis B first."""
+"""Plays some tables, by number, and returns a record with leading axis B."""
 
 
 def in_parts(
     measure: Measure[Tree], config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[Array, " B"]
 ) -> Tree:
-    """Measure what a policy does on tables, by number, some at a time."""
+    """Apply a measure to a policy on tables, by number, in parts."""
     starts = range(0, max(len(episode), 1), BATCH)
     return _joined([measure(config, layouts, policy, key, episode[k : k + BATCH]) for k in starts])
 
@@ -106,7 +106,7 @@ def side_by_side(
     key: Key,
     episode: Int[Array, " B"],
 ) -> list[Tree]:
-    """Measure what each of several policies does on the same tables; they play side by side."""
+    """Apply a measure to several policies on the same tables, played side by side."""
     num, found = len(episode), []
     size = max(1, SIDE_BY_SIDE // max(num, 1))
     for first in range(0, len(policies), size):
@@ -122,13 +122,13 @@ def _joined(parts: list[Tree]) -> Tree:
 
 
 class _SideBySide:
-    """Each policy decides for its own part of a batch; all parts are of the same size."""
+    """Each policy decides for its own part of a batch; all parts have the same size."""
 
     def __init__(self, policies: Sequence[Policy]) -> None:
         self._policies = policies
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Let each choose for its part."""
+        """Let each policy choose for its part."""
         size = len(key) // len(self._policies)
         parts = [slice(k * size, (k + 1) * size) for k in range(len(self._policies))]
         each = [
@@ -141,9 +141,9 @@ class _SideBySide:
 def stages_of_play(
     config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[Array, " B"]
 ) -> tuple[HiddenState, Iterator[Stage]]:
-    """Set some tables, by number, and play them stage by stage, to the last one of all.
+    """Set some tables, by number, and play them stage by stage until all are over.
 
-    World and policy draw from separate keys, so that policies meet the same world.
+    World and policy draw from separate keys, so that all policies meet the same world.
     """
     layout, keys = mapped(lambda leaf: leaf[episode % len(leaf)], layouts), random.fold_in(key, episode)
     start_key, world_key, policy_key = random.split(keys, 3)
@@ -171,7 +171,7 @@ def _recorded(
 ) -> Episodes:
     hidden, played = stages_of_play(config, layouts, policy, key, episode)
     stages = list(played)
-    # Where all are over, the rest of the horizon is as the last stage was.
+    # Once all are over, the last stage fills the rest of the horizon.
     over = stages[-1]._replace(is_taken=library_of(stages[-1].is_taken).zeros_like(stages[-1].is_taken))
     stages += [over] * (config.num_stages - len(stages))
     all_stages = stacked(stages, axis=1)

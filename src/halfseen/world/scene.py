@@ -1,7 +1,7 @@
-"""What the world needs to know of a table: which object hides which, and how well each seems to be gripped.
+"""Initial arrangement of a table: which object hides which, and how well each can probably be gripped.
 
-A `Scene` is what perception hands over and what an episode starts from. It holds what can be seen and nothing hidden:
-whether an object is dirty, and what nobody sees of its grip, are drawn when an episode begins.
+A `Scene` is the output of perception and the start of an episode. It holds only observable properties: whether an
+object is dirty, and the hidden part of its grip offset, are drawn when an episode begins.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ def _is_share(values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Scene:
-    """A table of N objects, half hidden behind one another.
+    """A table of N objects that partly occlude one another.
 
     Parameters
     ----------
@@ -35,19 +35,19 @@ class Scene:
         ``hides[i, j]`` is the share of object i's silhouette that is hidden by object j alone, in [0, 1]; the diagonal
         is 0.
     name
-        Where the scene comes from, for reports.
+        Origin of the scene, for reports.
     grip
-        Mean of each object's grip offset, from what is seen of it (it lies, it is wide), in units of the law of
-        grasping; above 0 it is easier to grip than most. None for 0.
+        Mean of each object's grip offset given what is observed (it lies on its side, it is wide), in units of the law
+        of grasping; above 0, it is easier to grip than most. None for 0.
     places_m
-        Where each object stands on the table, to the right of the camera's foot and away from it, as perception has
-        it [m]; None where nobody has said. Only who reaches what needs it.
+        Place of each object on the table from perception: to the right of the camera's foot, and away from it [m]. None
+        if unknown; only needed to find which robot reaches which object.
 
     Raises
     ------
     SceneError
-        `hides` is not square, leaves [0, 1], is not finite, or lets an object hide itself; `grip` or `places_m` is not
-        finite, or not one number, or one place, an object.
+        `hides` is not square, outside [0, 1], not finite, or lets an object hide itself; `grip` or `places_m` is not
+        finite, or does not have one number, or one place, per object.
     """
 
     hides: Hides
@@ -72,7 +72,7 @@ class Scene:
     def _keep(
         self, name: str, given: Any, shape: tuple[int, ...], is_right: Callable[[np.ndarray], np.ndarray], remedy: str
     ) -> None:
-        """Keep a copy that nobody can write into, if its numbers are right and as many as there are objects."""
+        """Set a field to a read-only copy, after checking shape and values."""
         values = np.array(given, dtype=np.float64)
         if values.shape != shape:
             raise SceneError(f"{self.name}: {name} has shape {values.shape}; {_SHAPES[name]}, {shape}")
@@ -90,5 +90,5 @@ class Scene:
 
     @property
     def occlusion(self) -> PerObject:
-        """Hidden share of each object while all stand on the table: 1 − Π_j (1 − hides[i, j])."""
+        """Hidden share of each object while all are on the table: 1 − Π_j (1 − hides[i, j])."""
         return 1.0 - np.prod(1.0 - self.hides, axis=1)

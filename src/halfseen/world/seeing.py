@@ -1,19 +1,19 @@
-"""What a look tells: the law of labels that the world takes, and the one that it assumes by default.
+"""Laws of seeing, which draw the labels of a look: the interface, and the default law of the world.
 
-A law is drawn from (`SeeingLaw`); who computes ahead needs its probabilities as well (`KnownSeeing`). A law is a frozen
-record of numbers, and answers for whole batches of tables.
+The world only samples from a law (`SeeingLaw`); planners also need its probabilities (`KnownSeeing`). A law is a frozen
+record of numbers and handles batches of tables.
 
-A law of seeing whose errors persist as long as the view does: a stain that faces away stays hidden.
+Under `PersistentSeeing`, errors persist as long as the view does: a stain that faces away stays hidden.
 
-A look shows a share of an object's surface. The camera stands still, so views from it are nested, and what has been
-seen of an object is the largest share v that a look has shown. By then a stain of a dirty object has been found with
-probability sens(v), and a spot that looks like one on a clean object with probability fp(v). Both rise with v, and what
-was not found at v is found by a look that shows v' > v with probability
+A look shows a share of an object's surface. The camera is fixed, so its views are nested, and the share of an object
+seen so far is the largest share v that a look has shown. By then, a stain on a dirty object has been found with
+probability sens(v), and an apparent stain on a clean object with probability fp(v). Both rise with v. If nothing was
+found at v, a look that shows v' > v finds a stain with probability
 
     P(says DIRTY | dirty) = (sens(v') − sens(v)) / (1 − sens(v)),
 
-and likewise by fp for a clean object. So labels are consistent without any latent variable: a look that shows no more
-than was seen before finds nothing. Once something was found, no look is news.
+and likewise with fp for a clean object. So labels are consistent without a latent variable: a look that shows nothing
+new finds nothing. Once a stain was found, no further look is informative.
 """
 
 from itertools import pairwise
@@ -29,39 +29,39 @@ from halfseen.world.random import Key
 
 
 class Glimpse(NamedTuple):
-    """What one look at a table reaches; N objects, padding included."""
+    """View of one look at a table; N objects, padding included."""
 
     is_seen: Bool[Array, "*B N"]
-    """False for what has left the table, and for padding."""
+    """False for objects that have left the table, and for padding."""
     occluded: Float[Array, "*B N"]
-    """Hidden share of each object in this look; an object that is held up is seen whole and hides nothing."""
+    """Hidden share of each object in this look; an object that is held up is fully visible and hides nothing."""
     is_held: Bool[Array, "*B N"]
-    """Whether it is held up before the camera, which then sees it from all sides."""
+    """Whether it is held up before the camera, which then sees all sides."""
     seen: Float[Array, "*B N"]
-    """Share of its surface that has been in view before, as the law counts it; see `LookOutcome.seen`."""
+    """Share of its surface that was in view before, as counted by the law; see `LookOutcome.seen`."""
 
 
 class LookOutcome(NamedTuple):
-    """What one look told; of what was not seen it may hold anything."""
+    """Outcome of one look; its values for objects that were not seen are undefined."""
 
     log_odds: Float[Array, "*B N"]
     seen: Float[Array, "*B N"]
-    """Share of the surface in [0, 1] that looks have told of; 0 for a law to which every look is news."""
+    """Share of the surface in [0, 1] that looks have covered; 0 for a law under which every look is informative."""
     latent: Any
 
 
 @runtime_checkable
 class SeeingLaw(Protocol):
-    """What looks tell, of as many tables as a batch has.
+    """Law of the outcome of looks, for a batch of tables.
 
-    It is the law that decides what is news: evidence that a former look already gave must not be added again. What it
-    needs for that and anyone may know is `LookOutcome.seen`. What makes errors persist and nobody sees (a stain that
-    always misleads) is the law's latent variable: a record or array with an axis for the batch, or None. The law draws
-    it when the table is set, is handed it at every look, and hands back what has become of it.
+    The law must not add evidence twice: it decides which part of a look is new. The observed state that it needs for
+    this is `LookOutcome.seen`. Unobserved causes of persistent errors (such as a misleading stain) are the law's latent
+    variable: a record or array with a batch axis, or None. The law draws it when the table is set, receives it at every
+    look, and returns its new value.
     """
 
     def draw_latent(self, num_objects: int, key: Key) -> Any:
-        """Draw the latent variable of a table that is being set, as `GraspLaw.draw_latent` does."""
+        """Draw the latent variable of a table that is being set; see `GraspLaw.draw_latent`."""
         ...
 
     def look(
@@ -72,7 +72,7 @@ class SeeingLaw(Protocol):
         Parameters
         ----------
         glimpse
-            What the look reaches.
+            View of the look.
         log_odds
             Log-odds of DIRTY before it, the prior included.
         is_dirty
@@ -89,16 +89,15 @@ class SeeingLaw(Protocol):
 class KnownSeeing(SeeingLaw, Protocol):
     """A `SeeingLaw` whose probabilities are known, for planners.
 
-    Each look labels each object that it sees: it says DIRTY, or it does not. Given the truth, a label depends on former
-    looks through `LookOutcome.seen` alone, and on nothing that concerns other objects. Where `seen` is 0 and stays so,
-    labels are independent (`is_independent`). Of NumPy's arrays the methods make NumPy's (float64), of JAX's JAX's;
-    arguments broadcast.
+    Each look labels each visible object as DIRTY or not. Given the truth, a label depends on former looks only through
+    `LookOutcome.seen`, and not on other objects. If `seen` stays 0, labels are independent (`is_independent`). The
+    methods return NumPy arrays (float64) for NumPy arrays, and JAX arrays for JAX arrays; arguments broadcast.
     """
 
     def positive(self, occluded: Any, seen: Any, is_held: Any = False) -> tuple[Any, Any]:
-        """Probabilities that a look says DIRTY of an object that is dirty, and of one that is clean.
+        """P(a look says DIRTY) for a dirty object, and for a clean one.
 
-        Both lie inside (0, 1), or are 0 where the look shows nothing new.
+        Both are in (0, 1), or 0 if the look shows nothing new.
 
         Parameters
         ----------
@@ -112,22 +111,22 @@ class KnownSeeing(SeeingLaw, Protocol):
         ...
 
     def after(self, occluded: Any, seen: Any, says_dirty: Any, is_held: Any = False) -> Any:
-        """Share of the surface that counts as seen after a look, given what it says; in [0, 1], never falling."""
+        """Share of the surface that counts as seen after a look with this label; in [0, 1], never falling."""
         ...
 
 
 def is_independent(law: KnownSeeing) -> bool:
-    """Whether every look is news: after one in full view, no surface counts as seen."""
+    """Whether every look is informative: after a look in full view, no surface counts as seen."""
     return not any(
         law.after(0.0, 0.0, says_dirty, is_held) for says_dirty in (False, True) for is_held in (False, True)
     )
 
 
 def label_evidence(if_dirty: Any, if_clean: Any, says_dirty: Any) -> Any:
-    """What a label adds to the log-odds of DIRTY, by the probabilities of `KnownSeeing.positive`; 0 without news."""
+    """Log-likelihood ratio of a label, from `KnownSeeing.positive`; 0 if the look shows nothing new."""
     xp = library_of(if_dirty, if_clean, says_dirty)
     if_dirty, if_clean = (xp.where(says_dirty, positive, 1.0 - positive) for positive in (if_dirty, if_clean))
-    # A look that shows nothing new may still err: what cannot be said by the law tells nothing.
+    # A label to which the law gives probability 0 carries no evidence: a look without news may still err.
     is_news = if_dirty + if_clean > 0.0
     return xp.log(xp.where(is_news, if_dirty, np.float32(1.0))) - xp.log(xp.where(is_news, if_clean, np.float32(1.0)))
 
@@ -135,7 +134,7 @@ def label_evidence(if_dirty: Any, if_clean: Any, says_dirty: Any) -> Any:
 def labelled(
     law: KnownSeeing, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], key: Key
 ) -> LookOutcome:
-    """Label each object once by the probabilities of a law, given the truth and what is known: no latent is needed."""
+    """Draw one label per object from a law's probabilities, given the truth and the share seen, without a latent."""
     if_dirty, if_clean = law.positive(glimpse.occluded, glimpse.seen, glimpse.is_held)
     positive = library_of(is_dirty).where(is_dirty, if_dirty, if_clean)
     says_dirty = random.uniform(key, is_dirty.shape[-1]) < positive
@@ -147,16 +146,16 @@ def labelled(
 class AssumedSeeing:
     """A label is right with probability floor + gain·(1 − occ)^power, independently at every look.
 
-    These numbers are this project's own choice.
+    The default parameters are this project's own choice.
 
     Parameters
     ----------
     floor
         Probability for an object that is wholly hidden.
     gain
-        What is added to it for an object in full view.
+        Increase for an object in full view.
     power
-        How steeply that falls with occlusion.
+        Exponent of the visible share.
     """
 
     floor: Number = 0.5
@@ -170,7 +169,7 @@ class AssumedSeeing:
     def look(
         self, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], latent: None, key: Key
     ) -> LookOutcome:
-        """Label each object once; every label is news."""
+        """Label each object once; every label is informative."""
         accuracy = self.accuracy(glimpse.occluded)
         is_right = random.uniform(key, accuracy.shape[-1]) < accuracy
         xp = library_of(accuracy)
@@ -183,7 +182,7 @@ class AssumedSeeing:
         return self.floor + self.gain * (1.0 - occluded) ** self.power
 
     def positive(self, occluded: Any, seen: Any, is_held: Any = False) -> tuple[Any, Any]:
-        """Probabilities that a look says DIRTY of a dirty object, and of a clean one."""
+        """P(a look says DIRTY) for a dirty object, and for a clean one."""
         accuracy = self.accuracy(occluded)
         return accuracy, 1.0 - accuracy
 
@@ -193,34 +192,34 @@ class AssumedSeeing:
 
 
 SAME_VIEW = 1e-6
-"""Shares that differ by less are the same view: occlusions are rounded."""
+"""Tolerance within which shares are the same view, as occlusions are rounded."""
 LEAST_DOUBT = 1e-6
-"""What is new is found, and missed, with at least this probability, so that no label makes the truth certain."""
+"""Least probability of finding, and of missing, a new stain, so that no label makes the truth certain."""
 
 
 @record
 class PersistentSeeing:
-    """A look finds what it shows for the first time, with a share of errors that grows with what was seen.
+    """A look finds stains only on newly visible surface, with error rates that depend on the share seen.
 
-    Between the numbers given, both curves are straight lines, and they begin at 0 where nothing was seen. The numbers
-    are for labels to tell, so none has a default.
+    Both curves are piecewise linear between the given points and start at 0 where nothing was seen. The parameters are
+    fitted to labels, so they have no defaults.
 
     Parameters
     ----------
     facing
-        Share of the surface that an object on the table shows when nothing hides it, in (0, 1]; an object that is held
-        up shows all.
+        Share of the surface that an unoccluded object on the table shows, in (0, 1]; an object that is held up shows
+        all.
     views
         Shares of the surface, rising, in (0, 1], at which the curves are given.
     sensitivity
-        sens at each of `views`: share of dirty objects on which a stain was found by then; never falling, in [0, 1].
+        sens at each of `views`: share of dirty objects on which a stain was found by then; non-decreasing, in [0, 1].
     false_alarms
-        fp at each of `views`: share of clean objects on which one was seemingly found by then; likewise.
+        fp at each of `views`: share of clean objects on which a stain was reported by then; likewise.
 
     Raises
     ------
     ArgumentError
-        The numbers are not as above.
+        A parameter is out of range, or a curve has the wrong length or falls.
     """
 
     facing: Number
@@ -229,7 +228,7 @@ class PersistentSeeing:
     false_alarms: tuple[Number, ...]
 
     def __post_init__(self) -> None:
-        # Under a transformation a number may be a placeholder without a value.
+        # Under a JAX transformation, a number may be a tracer without a value.
         for name in ("views", "sensitivity", "false_alarms"):
             values = getattr(self, name)
             if all(isinstance(value, (int, float)) for value in values):
@@ -238,21 +237,21 @@ class PersistentSeeing:
             raise ArgumentError(f"facing is {self.facing}; the share that an object shows lies in (0, 1]")
 
     def draw_latent(self, num_objects: int, key: Key) -> None:
-        """No latent variable: what was seen so far is known."""
+        """No latent variable: the share seen so far is observed."""
         return
 
     def look(
         self, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], latent: None, key: Key
     ) -> LookOutcome:
-        """Look for what is shown for the first time."""
+        """Label each object once, by its newly visible surface."""
         return labelled(self, glimpse, log_odds, is_dirty, key)
 
     def in_view(self, occluded: Any, is_held: Any = False) -> Any:
-        """Share of the surface that a look shows: of what nothing hides on the table `facing`, of what is held all."""
+        """Share of the surface that a look shows: `facing` for an unoccluded object on the table, 1 for a held one."""
         return library_of(occluded, is_held).where(is_held, 1.0, self.facing * (1.0 - occluded))
 
     def positive(self, occluded: Any, seen: Any, is_held: Any = False) -> tuple[Any, Any]:
-        """Probabilities that a look says DIRTY of a dirty object, and of a clean one; 0 where it shows nothing new."""
+        """P(a look says DIRTY) for a dirty object, and for a clean one; 0 if it shows nothing new."""
         shown = self.in_view(occluded, is_held)
         xp, before, now = library_of(shown, seen), self._found_by(seen), self._found_by(shown)
         is_new = shown > seen + SAME_VIEW
@@ -264,17 +263,17 @@ class PersistentSeeing:
         return found_now(before[0], now[0]), found_now(before[1], now[1])
 
     def after(self, occluded: Any, seen: Any, says_dirty: Any, is_held: Any = False) -> Any:
-        """Share of the surface that has been in view; all of it counts once something was found."""
+        """Share of the surface that has been in view; 1 once a stain was found."""
         shown = self.in_view(occluded, is_held)
         xp = library_of(shown, seen, says_dirty)
         return xp.where(says_dirty, 1.0, xp.maximum(seen, shown))
 
     def found_by(self, share: Float[Array, "..."]) -> Float[Array, "2 ..."]:
-        """Shares of dirty objects, and of clean ones, on which something was found by these shares of the surface."""
+        """Shares of dirty objects (sens), and of clean ones (fp), with a stain found by these shares of the surface."""
         return library_of(share).stack(self._found_by(share))
 
     def _found_by(self, share: Any) -> tuple[Any, Any]:
-        """Both curves at a share of the surface: each piece adds its rise, as far as the share covers it."""
+        """Both curves at a share of the surface; each linear piece adds its rise as far as the share covers it."""
         clip, knots = library_of(share).clip, (0.0, *self.views)
         covered = [clip((share - begin) / (end - begin), 0.0, 1.0) for begin, end in pairwise(knots)]
 

@@ -1,4 +1,4 @@
-"""What is seen of a table and of the robots at it, and what is not."""
+"""Observed and hidden state of a table and of the robots at it."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -13,27 +13,27 @@ from halfseen.world.scene import Scene
 
 NO_ATTEMPT = -1
 _IN_CACHE = 65536
-"""Numbers of an array that a core has near; of larger ones, columns are taken one by one."""
+"""Array size that fits a core's cache; larger arrays are processed column by column."""
 
 
 @record
 class Robots:
-    """What each of K robots is at, as all of them know."""
+    """What each of K robots is doing, known to all of them."""
 
     is_busy: Bool[Array, "*B K"]
-    """Whether it carries something out, waiting included."""
+    """Whether it carries out an action, WAIT included."""
     is_parked: Bool[Array, "*B K"]
-    """Whether it will do nothing more."""
+    """Whether it has finished for good."""
     verb: Int[Array, "*B K"]
-    """Of what it carries out; of no meaning where it is not busy."""
+    """Verb of its action; undefined if it is not busy."""
     target: Int[Array, "*B K"]
-    """Object of that verb; 0 where it has none."""
+    """Object of its action; 0 if it has none."""
     since_s: Float[Array, "*B K"]
-    """For how long it has been at it [s]."""
+    """Elapsed time of its action [s]."""
     decisions_to_go: Int[Array, "*B K"]
     """Decisions that it may still make."""
     is_out: Bool[Array, "*B K"] | None = None
-    """Whether it has dropped out (battery, e-stop), for good; None where nobody can."""
+    """Whether it has dropped out (battery, e-stop) for good; None if no robot can."""
 
     @property
     def num_robots(self) -> int:
@@ -42,36 +42,36 @@ class Robots:
 
     @property
     def is_gone(self) -> Bool[Array, "*B K"]:
-        """Which do nothing more: parked, or dropped out."""
+        """Which robots are parked or have dropped out."""
         return self.is_parked if self.is_out is None else self.is_parked | self.is_out
 
     @property
     def is_undecided(self) -> Bool[Array, "*B K"]:
-        """Which are free to decide."""
+        """Which robots are free to decide."""
         return ~self.is_busy & ~self.is_gone & (self.decisions_to_go > 0)
 
     @property
     def is_done(self) -> Bool[Array, "*B K"]:
-        """Which have come to their end: parked, dropped out, or out of decisions with nothing left to carry out."""
+        """Which robots have ended: parked, dropped out, or idle without decisions left."""
         return ~self.is_busy & (self.is_gone | (self.decisions_to_go == 0))
 
 
 @record
 class Workspace:
-    """Where robots can work on a table; padding is in nobody's reach and near nothing."""
+    """Where robots can work on a table; padding is in no robot's reach and near nothing."""
 
     is_in_reach: Bool[Array, "*B K N"]
     """Which objects each robot reaches."""
     is_near: Bool[Array, "*B N N"]
-    """Pairs of objects at which two robots cannot be at once; True on the diagonal."""
+    """Pairs of objects too near for two robots at once; True on the diagonal."""
 
 
 @record
 class TableState:
-    """S_t: all that a policy may look at.
+    """S_t: the observed state, on which a policy may depend.
 
-    Objects are padded to N with `is_object` False; their other entries mean nothing. Where one robot works alone and
-    reaches everything, there are no `robots`; else the lowest of those that are free decides.
+    Objects are padded to N with `is_object` False; other entries of padding are undefined. For a single robot that
+    reaches everything, `robots` is None; otherwise the lowest-numbered free robot decides.
     """
 
     hides: Float[Array, "*B N N"]
@@ -81,13 +81,13 @@ class TableState:
     is_on_table: Bool[Array, "*B N"]
     """Location: TABLE if True, else DISHWASHER (or padding)."""
     grip: Float[Array, "*B N"]
-    """Mean of each object's grip offset, from what is seen of it; see `Arrangement.grip`."""
+    """Mean of each object's grip offset, given what is observed of it; see `Arrangement.grip`."""
     log_odds: Float[Array, "*B N"]
     """Log-odds of DIRTY given all labels so far, the prior included."""
     seen: Float[Array, "*B N"]
-    """Share of each object's surface in view so far, as the law of seeing counts it; see `LookOutcome.seen`."""
+    """Share of each object's surface in view so far, as counted by the law of seeing; see `LookOutcome.seen`."""
     lifts: Int[Array, "*B N"]
-    """Number of LIFT attempts that succeeded."""
+    """Number of successful LIFTs."""
     attempt_object: Int[Array, "*B T"]
     """Object of the k-th attempt that ended, or −1 if none (yet)."""
     attempt_occlusion: Float[Array, "*B T"]
@@ -95,9 +95,9 @@ class TableState:
     attempt_succeeded: Bool[Array, "*B T"]
     """Whether it was grasped."""
     steps_to_go: Int[Array, "*B"]
-    """Actions that may still end, of all robots together, one that is decided now included."""
+    """Number of actions that may still end, over all robots, including the one decided now."""
     attempt_robot: Int[Array, "*B T"] | None = None
-    """Number of the robot that made it; None where one robot works alone, or that is not known."""
+    """Number of the robot that made the attempt; None for a single robot, or if unknown."""
     robots: Robots | None = None
     workspace: Workspace | None = None
     decider: Int[Array, "*B"] | None = None
@@ -110,7 +110,7 @@ class TableState:
 
     @property
     def horizon(self) -> int:
-        """T, the number of decisions that a trajectory may have."""
+        """T, the largest number of decisions of a trajectory."""
         return self.attempt_object.shape[-1]
 
     @property
@@ -121,34 +121,34 @@ class TableState:
 
 @record
 class Pending:
-    """How what each robot carries out will end, which nobody knows before."""
+    """Outcome of each robot's action in progress, hidden until it ends."""
 
     left_s: Float[Array, "*B K"]
-    """Until it is done; infinite for WAIT [s]."""
+    """Remaining time; infinite for WAIT [s]."""
     duration_s: Float[Array, "*B K"]
-    """From begin to end [s]."""
+    """Total duration [s]."""
     is_held: Bool[Array, "*B K"]
     """Whether the object is grasped."""
     occlusion: Float[Array, "*B K"]
-    """Of the object when the attempt began."""
+    """Occlusion of the object when the attempt began."""
     hides: Float[Array, "*B K N N"]
-    """Who will hide whom, where `is_moved`."""
+    """Which object will hide which afterwards, where `is_moved`."""
     is_moved: Bool[Array, "*B K N N"]
 
 
 @record
 class HiddenState:
-    """What no policy sees: the attribute of each object, what laws keep to themselves, and what robots are about."""
+    """State hidden from policies: the attribute of each object, the laws' latents, and the pending outcomes."""
 
     is_dirty: Bool[Array, "*B N"]
     grasp_latent: Any
-    """Of `WorldConfig.grasping`; u of each object, axes (B, N), of the assumed one."""
+    """Latent of `WorldConfig.grasping`; for the assumed law, u of each object, axes (B, N)."""
     seeing_latent: Any = None
-    """Of `WorldConfig.seeing`; none of the assumed one."""
+    """Latent of `WorldConfig.seeing`; None for the assumed law."""
     pending: Pending | None = None
-    """None where one robot works alone."""
+    """None for a single robot."""
     until_out_s: Float[Array, "*B K"] | None = None
-    """Until each robot drops out, infinite where it never does; None where nobody can [s]."""
+    """Time until each robot drops out, infinite if it never does; None if no robot can [s]."""
 
 
 @record
@@ -159,7 +159,7 @@ class Layout:
     is_object: Bool[Array, "*B N"]
     grip: Float[Array, "*B N"]
     workspace: Workspace | None = None
-    """None where one robot works alone."""
+    """None for a single robot."""
 
 
 def pad_scenes(scenes: Sequence[Scene], num_objects: int | None = None) -> Layout:
@@ -168,7 +168,7 @@ def pad_scenes(scenes: Sequence[Scene], num_objects: int | None = None) -> Layou
     Raises
     ------
     SceneError
-        There is no scene, one has no object, or more than `num_objects`.
+        There is no scene, or one has no object or more than `num_objects`.
     """
     if not scenes:
         raise SceneError("no scenes: give at least one")
@@ -186,7 +186,7 @@ def pad_scenes(scenes: Sequence[Scene], num_objects: int | None = None) -> Layou
 
 
 def padded(arrays: Sequence[Any], shape: tuple[int, ...], fill: Any) -> np.ndarray:
-    """Stack arrays in front of what fills each up to a shape."""
+    """Stack arrays, each padded at the end to a shape with `fill`."""
     found = np.full((len(arrays), *shape), fill)
     for k, values in enumerate(arrays):
         found[(k, *map(slice, values.shape))] = values
@@ -194,7 +194,7 @@ def padded(arrays: Sequence[Any], shape: tuple[int, ...], fill: Any) -> np.ndarr
 
 
 def initial_state(config: WorldConfig, layout: Layout) -> TableState:
-    """State before anything was seen: all objects on the table, all labels at the prior, all robots free."""
+    """State before the first look: all objects on the table, log-odds at the prior, all robots free."""
     is_object, num_stages = batch_last(layout.is_object), config.num_stages
     xp = library_of(is_object, config.dirty_share)
     batch = is_object.shape[:-1]
@@ -235,7 +235,7 @@ def _free_robots(config: WorldConfig, batch: tuple[int, ...], xp: Any) -> Robots
 
 
 def nothing_pending(num_robots: int, is_object: Bool[Array, "*B N"]) -> Pending:
-    """Nothing that robots carry out."""
+    """Pending outcomes of idle robots."""
     xp, (*batch, num_objects) = library_of(is_object), is_object.shape
     none = xp.zeros((*batch, num_robots), dtype=np.float32)
     pairs = (*batch, num_robots, num_objects, num_objects)
@@ -250,9 +250,9 @@ def nothing_pending(num_robots: int, is_object: Bool[Array, "*B N"]) -> Pending:
 
 
 def batch_last(values: Array, num_axes: int = 1) -> Array:
-    """The same, laid out in memory with the axes of the batch last, which are long, where the others are short.
+    """Copy an array to a memory layout with the long batch axes last, behind the short other axes.
 
-    What NumPy computes of such arrays is laid out alike, and its loops are as long as the batch.
+    NumPy keeps this layout in its results, and its inner loops then run over the batch.
     """
     if library_of(values) is not np or values.ndim == num_axes:
         return values
@@ -261,14 +261,14 @@ def batch_last(values: Array, num_axes: int = 1) -> Array:
 
 
 def numbered(number: Int[Array, "*B"], num: int) -> Bool[Array, "*B k"]:
-    """Which of 0 to num − 1 each number is."""
+    """One-hot encoding of each number among 0 to num − 1."""
     xp = library_of(number)
     number = xp.asarray(number)
     return first_last(xp.arange(num).reshape((num,) + (1,) * number.ndim) == number)
 
 
 def check_goes_on(state: TableState) -> None:
-    """Refuse a state in which nothing is left to decide.
+    """Check that a state leaves a decision to make.
 
     Raises
     ------
@@ -285,9 +285,9 @@ def occlusion(state: TableState) -> Float[Array, "*B N"]:
 
 
 def occlusion_by(hides: Float[Array, "*#B N N"], is_hiding: Bool[Array, "*#B N"]) -> Float[Array, "*B N"]:
-    """Hidden share of each object where some objects alone hide anything."""
+    """Hidden share of each object when only the objects in `is_hiding` hide others."""
     xp = library_of(hides, is_hiding)
-    # What hides nothing hides a share of 0, also where its share is padding (NaN).
+    # An object that does not hide others counts as a share of 0, even if its share is padding (NaN).
     is_idle = (~is_hiding).astype(np.float32)
     if xp is np and hides.size > _IN_CACHE:
         visible = np.fmax(np.float32(1.0) - hides[..., 0], is_idle[..., 0, None])
@@ -299,7 +299,7 @@ def occlusion_by(hides: Float[Array, "*#B N N"], is_hiding: Bool[Array, "*#B N"]
 
 
 def attempt_counts(state: TableState) -> tuple[Float[Array, "*B N"], Float[Array, "*B N"]]:
-    """Past grasp successes and failures of each object."""
+    """Numbers of past grasp successes and failures of each object."""
     xp = library_of(state.attempt_object)
     is_mine = state.attempt_object[..., None, :] == xp.arange(state.num_objects)[:, None]
     succeeded = state.attempt_succeeded[..., None, :]

@@ -1,4 +1,4 @@
-"""The world behind one door: scenes and a policy in, logs out; for one robot, or several at one table."""
+"""The main interface of the world: simulate scenes under a policy into logs, for one robot or several."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -23,23 +23,23 @@ NUM_PILOT_TRAJECTORIES = 2000
 
 @dataclass(frozen=True)
 class TableWorld:
-    """Tables of half-hidden cups (design, §3), before several robots where there are any (§9).
+    """Tables of half-hidden cups (design, §3), optionally with a team of robots (§9).
 
     Parameters
     ----------
     config
-        The numbers of the world; its horizon is counted in decisions of each robot.
+        Parameters of the world; its horizon counts the decisions of each robot.
     robots
-        Who works at the table, robot 0 first; empty for one robot that reaches everything.
+        Robots at the table, robot 0 first; empty for one robot that reaches everything.
     clearance_m
-        Objects nearer than that are too near for two robots at once [m].
+        Distance below which two objects are too near for two robots at once [m].
     reward_per_s
         Price of each second of the table's clock; 0 or below [1/s].
 
     Raises
     ------
     ArgumentError
-        What is given of the robots is what no team has.
+        The parameters of the robots are invalid; see `Team`.
 
     Examples
     --------
@@ -61,33 +61,32 @@ class TableWorld:
     reward_per_s: float | int = 0.0
 
     def __post_init__(self) -> None:
-        # A team that cannot be is refused here, not where it is first asked for.
+        # Check an invalid team here, not on its first use.
         _ = self.team
 
     @classmethod
     def of(cls, team: Team | None, config: WorldConfig | None = None) -> "TableWorld":
-        """World of a team; None for one robot that reaches everything."""
+        """World of a team; a team of None is one robot that reaches everything."""
         config = WorldConfig() if config is None else config
         return cls(config) if team is None else cls(config, team.robots, team.clearance_m, team.reward_per_s)
 
     @property
     def team(self) -> Team | None:
-        """The robots, how near two may work, and what seconds cost; None for one that reaches everything."""
+        """The robots, their clearance and the price of time; None for one robot that reaches everything."""
         return Team(tuple(self.robots), self.clearance_m, self.reward_per_s) if len(self.robots) else None
 
     @property
     def played_config(self) -> WorldConfig:
-        """The numbers of the world with those of its robots."""
+        """Parameters of the world with those of its robots."""
         return self.config if self.team is None else self.team.config(self.config)
 
     def layouts(self, scenes: Sequence[Scene], num_objects: int | None = None) -> Layout:
-        """Set scenes before the robots, padded to a common number of objects.
+        """Lay out scenes before the robots, padded to a common number of objects.
 
         Raises
         ------
         SceneError
-            There is no scene, one has no object, or more than `num_objects`; or does not tell several robots where
-            they stand.
+            There is no scene; or one has no object, more than `num_objects`, or, for a team, no places.
         """
         return pad_scenes(scenes, num_objects) if self.team is None else self.team.layouts(scenes, num_objects)
 
@@ -101,33 +100,33 @@ class TableWorld:
         cut_kind: CutKind | str = "independent",
         drop_out_cause: str = DROP_OUT_CAUSE,
     ) -> Logs:
-        """Play episodes, cut some, and write down what was seen; one cut ends the table for all robots.
+        """Play episodes, cut some, and return the logs; a cut ends the table for all robots.
 
         Parameters
         ----------
         scenes
-            Where episodes begin, for a team with `places_m`; episode k begins from scene k modulo their number.
+            Initial scenes, for a team with `places_m`; episode k begins from scene k modulo their number.
         policy
-            What decides, for the robot that is free where there are several.
+            Policy that decides; in a team, for the robot that is free.
         episodes
             Number of trajectories.
         seed
-            Same seed, same logs.
+            Random seed; the same seed gives the same logs.
         cut_share
-            Share of the trajectories that is cut, in expectation, in [0, 1).
+            Expected share of trajectories that are cut, in [0, 1).
         cut_kind
-            How the hazard of a cut behaves; see `halfseen.world.cuts`.
+            Kind of hazard of a cut; see `halfseen.world.cuts`.
         drop_out_cause
-            What it is called when a robot drops out alone.
+            Cause recorded when a robot drops out alone.
 
         Raises
         ------
         ArgumentError
             `episodes` is below 1 or `cut_share` outside [0, 1).
         PolicyError
-            The policy is one for another number of robots.
+            The policy is for another number of robots.
         SceneError
-            A scene does not tell several robots where its objects stand.
+            A scene for a team lacks the places of its objects.
         """
         scenes = _as_list(scenes)
         cuts = self.record(scenes, policy, episodes, seed, cut_share, cut_kind)
@@ -142,7 +141,7 @@ class TableWorld:
         cut_share: float | int = 0.0,
         cut_kind: CutKind | str = "independent",
     ) -> CutEpisodes:
-        """Do as `simulate`, but keep the arrays as they are."""
+        """Simulate as in `simulate`, but return arrays instead of logs."""
         config, layouts = self.played_config, self._checked(scenes, policy, episodes)
         check_share(cut_share)
         pilot_key, play_key = random.split(random.key_of(seed))
@@ -153,7 +152,7 @@ class TableWorld:
         return cut(played, rate, cut_kind, np.random.default_rng(seed))
 
     def evaluate(self, scenes: Scene | Sequence[Scene], policy: Policy, episodes: int, seed: int) -> Totals:
-        """Play episodes to their end and tell what each earned, by the time the table took; see `simulate`."""
+        """Play episodes to their end and return the reward, duration and steps of each; see `simulate`."""
         layouts = self._checked(_as_list(scenes), policy, episodes)
         return evaluate(self.played_config, layouts, policy, random.key_of(seed), episodes)
 

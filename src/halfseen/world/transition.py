@@ -1,14 +1,14 @@
-"""One decision of one robot, and what happens until the next one.
+"""The transition: one decision of one robot, and all events until the next decision.
 
-A stage lasts from one decision to the next, whichever robot makes it. What a robot begins is drawn when it begins and
-known when it ends: then the table changes, the camera looks, the reward falls, and robots that waited are free. Where
-another robot is free at once, the stage takes no time, and nothing is looked at in it. One robot alone has one event a
-stage, and nothing is pending.
+A stage lasts from one decision to the next, whichever robot makes it. The outcome of an action is drawn when it begins
+and revealed when it ends: then the table changes, the camera looks, the reward is paid, and waiting robots become free.
+If another robot is free at once, the stage takes no time and has no look. A single robot has one event per stage, and
+nothing is pending.
 
-A robot may drop out (battery, e-stop) while it is at something, waiting included; who has parked no longer does. What
-it carried out is abandoned: its object stays where it was, nothing is paid, and the attempt is not counted. Robots that
-waited are free, as after any event. Nothing is looked at: labels come with what was done, and nothing was, so that the
-table stays as it was seen. What ends at the very moment of a drop-out ends before it.
+A robot may drop out (battery, e-stop) while it carries out an action, WAIT included, but not once it is parked. Its
+action is abandoned: the object stays in place, nothing is paid, and the attempt is not counted. Waiting robots become
+free, as after any event. There is no look, since labels only follow completed actions, so the observed table does not
+change. An action that ends at the very moment of a drop-out ends before it.
 """
 
 from dataclasses import replace
@@ -36,27 +36,27 @@ from halfseen.world.state import (
 )
 
 _DROP_OUT_KEY = 29
-"""Folded into the key of the start for the times of drop-outs, so that no other draw changes."""
+"""Folded into the start key for the drop-out times, so that other draws do not change."""
 
 
 class Outcome(NamedTuple):
-    """What one stage brought."""
+    """Outcome of one stage."""
 
     reward: Amounts
-    """Price of its seconds included and, where the trajectory ends, that of what is left dirty."""
+    """Includes the price of its seconds and, if the trajectory ends, the penalty for dirty objects left."""
     duration_s: Amounts
-    """Positive, but where several robots are free at once [s]."""
+    """Positive, except if several robots are free at once [s]."""
     is_over: Flags
     """Whether the trajectory has come to its own end."""
     paid_alone: Float[Array, "*B K"] | None = None
-    """What the stage would have paid each of several robots had it been alone: its own attempts that ended, the price
-    of its seconds until its own end, and there that of what is left dirty in its reach; None where one is."""
+    """Reward of the stage for each robot of a team had it been alone: its own attempts that ended, the price of its
+    seconds until its own end, and then the penalty for dirty objects left in its reach; None for a single robot."""
     out_s: Float[Array, "*B K"] | None = None
-    """How far into it each robot dropped out, infinite where it did not; None where nobody can [s]."""
+    """Time from the stage's begin to each robot's drop-out, infinite without one; None if no robot can drop out [s]."""
 
 
 def start(config: WorldConfig, layout: Layout, key: Key) -> tuple[TableState, HiddenState]:
-    """Set tables: what is hidden is drawn, and the camera takes its first view; all robots are free."""
+    """Set tables: draw the hidden state and take the camera's first look; all robots are free."""
     hidden_key, see_key = random.split(key)
     state = initial_state(config, layout)
     dirty_key, grasp_key = random.split(hidden_key)
@@ -73,7 +73,7 @@ def start(config: WorldConfig, layout: Layout, key: Key) -> tuple[TableState, Hi
 
 
 def until_out_s(config: WorldConfig, key: Key) -> Float[Array, "*B K"] | None:
-    """Draw until when each robot drops out, which knows nothing of what went before; None where nobody can [s]."""
+    """Draw the time until each robot drops out, which is memoryless; None if no robot can [s]."""
     if config.drop_out_rate is None:
         return None
     xp = library_of(key)
@@ -85,31 +85,31 @@ def until_out_s(config: WorldConfig, key: Key) -> Float[Array, "*B K"] | None:
 def step(
     config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key, *, any_action: bool = False
 ) -> tuple[TableState, HiddenState, Outcome]:
-    """Let the robot that decides begin an action, and wait for the next decision.
+    """Let the deciding robot begin an action, and advance to the next decision.
 
-    An attempt of one robot alone on what is not on the table closes on nothing: it fails, and takes as long as an
-    attempt may.
+    An attempt of a single robot on an object that is not on the table closes on nothing: it fails, and takes the
+    longest time of an attempt.
 
     Parameters
     ----------
     config, state, hidden
-        The world, and what is seen and hidden in it.
+        The world, with its observed and hidden state.
     action
-        Of the robot that decides.
+        Action of the deciding robot.
     key
         The only source of randomness.
     any_action
-        Whether it may be one that is not possible for one of several robots: an attempt then closes on nothing, too,
-        and a WAIT for nothing lasts as long as going home.
+        Whether a robot of a team may take an impossible action: an attempt then closes on nothing, and a WAIT for
+        nothing lasts as long as going home.
 
     Returns
     -------
     TableState
-        What is seen then, and who decides.
+        The next observed state, with the next deciding robot.
     HiddenState
-        What is hidden then: the laws may change their latents.
+        The next hidden state; the laws may change their latents.
     Outcome
-        What it brought.
+        The outcome of the stage.
     """
     if state.robots is None:
         return _step_alone(config, state, hidden, action, key)
@@ -120,7 +120,7 @@ def step(
 def _step_alone(
     config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key
 ) -> tuple[TableState, HiddenState, Outcome]:
-    """What one robot alone begins ends, and nothing comes between."""
+    """One step of a single robot: its action ends without other events."""
     xp, actions = library_of(action), ActionSpace(state.num_objects)
     grasp_key, see_key = random.split(key)
     verb, target, occluded = actions.verb(action), actions.target(action), occlusion(state)
@@ -144,7 +144,7 @@ def _ended(
     robot: Which | None = None,
     in_the_air: Bool[Array, "*B N"] | bool = False,
 ) -> tuple[TableState, HiddenState, Amounts]:
-    """What is seen and hidden once an attempt is over and the camera has looked, and what it paid."""
+    """Observed and hidden state after an attempt and the look that follows, and the reward."""
     state = after_attempt(state, verb, target, tried, was_hidden, robot)
     is_lifted = is_target(state, target) & (tried.is_held & (verb == Verb.LIFT))[..., None]
     state, hidden = look(config, state, hidden, is_lifted | in_the_air, key)
@@ -154,13 +154,13 @@ def _ended(
 def _step_of_several(
     config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key, is_possible: Flags | None
 ) -> tuple[TableState, HiddenState, Outcome]:
-    """Let the robot that decides begin an action, and what is pending end until somebody is to decide."""
+    """Let the deciding robot begin an action, and process events until a robot is free to decide."""
     xp = library_of(action)
     grasp_key, see_key = random.split(key)
     state, hidden = _begun(config, state, hidden, action, grasp_key, is_possible)
     total = _nothing(config, state)
     for k in range(config.num_robots):
-        # What frees nobody ends a robot for good, parked or dropped out: up to K such events before anybody decides.
+        # An event that frees no robot ends one for good (parked or dropped out): at most K events before a decision.
         is_idle = ~xp.any(_robots(state).is_undecided, axis=-1) & ~_is_over(state)
         if xp is np and not is_idle.any():
             break
@@ -196,7 +196,7 @@ def _nothing(config: WorldConfig, state: TableState) -> Outcome:
 
 
 def _added(total: Outcome, later: Outcome) -> Outcome:
-    """What two stretches of time brought, one after the other."""
+    """Sum of the outcomes of two successive periods."""
     alone: Any = total.paid_alone
     out_s = total.out_s
     if out_s is not None:
@@ -206,14 +206,14 @@ def _added(total: Outcome, later: Outcome) -> Outcome:
 
 
 def _is_one(robots: Robots, robot: Which) -> Bool[Array, "*B K"]:
-    """Which of the robots has that number."""
+    """One-hot mask of a robot's number."""
     return library_of(robot).arange(robots.num_robots) == robot[..., None]
 
 
 def _begun(
     config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key, is_possible: Flags | None
 ) -> tuple[TableState, HiddenState]:
-    """Draw how the action of the robot that decides will go."""
+    """Draw the outcome of the deciding robot's action, and set it pending."""
     xp, actions, robots, pending = library_of(action), ActionSpace(state.num_objects), _robots(state), _pending(hidden)
     assert state.decider is not None
     verb, target, robot = actions.verb(action), actions.target(action), state.decider
@@ -251,19 +251,19 @@ def _begun(
 
 
 def _to_the_table(verb: Which) -> Which:
-    """To the table, who waits does nothing, as who finishes."""
+    """Replace WAIT by FINISH: neither acts on the table."""
     return library_of(verb).where(verb == WAIT, Verb.FINISH, verb)
 
 
 def _next_event(
     config: WorldConfig, state: TableState, hidden: HiddenState, key: Key
 ) -> tuple[TableState, HiddenState, Outcome]:
-    """Let the first thing that ends end, or a robot drop out before: what is seen and hidden then, and what it paid."""
+    """Process the next event, the first action to end or an earlier drop-out: state, hidden state and outcome."""
     robots, until_out = _robots(state), hidden.until_out_s
     xp, zero, never, out_s = library_of(robots.is_busy), np.float32(0.0), np.float32(np.inf), None
     left_s = xp.where(robots.is_busy, _pending(hidden).left_s, never)
     robot, first_s = xp.argmin(left_s, axis=-1), xp.min(left_s, axis=-1)
-    # Nothing is to end where a trajectory is over: what comes of that is thrown away, and is to be finite.
+    # If a trajectory is over, no action ends; the result is discarded, but must be finite.
     passed_s = xp.where(xp.isfinite(first_s), first_s, zero)
     after, of_hidden, paid = _at_end(config, state, hidden, robot, passed_s, key)
     if until_out is not None:
@@ -271,7 +271,7 @@ def _next_event(
         leaver, leaves_s = xp.argmin(until_s, axis=-1), xp.min(until_s, axis=-1)
         is_first = leaves_s < first_s
         passed_s, paid = xp.where(is_first, leaves_s, passed_s), xp.where(is_first, zero, paid)
-        # The table is as it was.
+        # The table does not change.
         freed, pending = _freed(robots, _pending(hidden), leaver, passed_s)
         is_out = robots.is_out | _is_one(robots, leaver)
         at_drop_out = replace(state, robots=replace(freed, is_out=is_out)), replace(hidden, pending=pending)
@@ -286,7 +286,7 @@ def _next_event(
 def _own_price(
     config: WorldConfig, was_done: Bool[Array, "*B K"], state: TableState, hidden: HiddenState, passed_s: Amounts
 ) -> Float[Array, "*B K"]:
-    """Price of the seconds of each robot that goes on, and of what is left in its reach where it came to its end."""
+    """Price of each robot's seconds until its end, and at its end the penalty for dirty objects left in its reach."""
     xp, robots = library_of(was_done), _robots(state)
     is_at_end = robots.is_done & ~was_done
     if robots.is_out is not None:
@@ -301,7 +301,7 @@ def _own_price(
 def _at_end(
     config: WorldConfig, state: TableState, hidden: HiddenState, robot: Which, passed_s: Amounts, key: Key
 ) -> tuple[TableState, HiddenState, Amounts]:
-    """What is seen and hidden once a robot has ended what it was at, and what that pays."""
+    """Observed and hidden state after a robot's action ends, and its reward."""
     robots, pending, xp = _robots(state), _pending(hidden), library_of(robot)
     verb, target, is_held = (at(values, robot) for values in (robots.verb, robots.target, pending.is_held))
     duration_s, was_hidden = at(pending.duration_s, robot), at(pending.occlusion, robot)
@@ -323,7 +323,7 @@ def _at_end(
 
 
 def _freed(robots: Robots, pending: Pending, robot: Which, passed_s: Amounts) -> tuple[Robots, Pending]:
-    """A robot after so many seconds is at nothing any more, and neither is who waited."""
+    """Free a robot, and all waiting robots, after `passed_s`."""
     xp, never = library_of(robot), np.float32(np.inf)
     is_free = _is_one(robots, robot) | (robots.is_busy & (robots.verb == WAIT))
     left_s = xp.where(robots.is_busy, pending.left_s, never)
