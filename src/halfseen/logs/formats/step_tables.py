@@ -21,6 +21,7 @@ from halfseen.errors import LogError, warn
 from halfseen.logs.columns import refuse_repeated, shown
 from halfseen.logs.formats.as_text import from_list_texts
 from halfseen.logs.formats.csv_folder import read_cells
+from halfseen.logs.formats.quotes import check_quotes
 from halfseen.logs.formats.steps import (
     StepColumns,
     StepRules,
@@ -33,7 +34,7 @@ from halfseen.logs.formats.steps import (
 )
 from halfseen.logs.logs import Logs
 from halfseen.logs.parquet import parquet_file
-from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, refused
+from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, opened_text, refused
 from halfseen.shapes import Float, Int, Shaped
 
 SEEN = "observation"
@@ -202,6 +203,8 @@ def _read(file: Path, columns: list[str] | None) -> pa.Table:
 
 
 def _csv(file: Path) -> pa.Table:
+    with opened_text(file, TABLE) as lines:
+        check_quotes(file, lines)
     with opened(file, TABLE) as bytes_in:
         convert = arrow_csv.ConvertOptions(null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False)
         table = read_cells(bytes_in, convert)
