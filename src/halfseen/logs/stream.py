@@ -12,16 +12,7 @@ import pyarrow.compute
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import ArgumentError, LogError, within
 from halfseen.logs.checked_tables import checked_trajectories
-from halfseen.logs.columns import (
-    FINISHED,
-    NEEDED,
-    as_counts,
-    as_frame,
-    frame_of,
-    is_stage_covariate,
-    require_columns,
-    shown,
-)
+from halfseen.logs.columns import FINISHED, NEEDED, as_counts, is_stage_covariate, require_columns, shown
 from halfseen.logs.folder import (
     UNSORTED,
     Folder,
@@ -34,6 +25,7 @@ from halfseen.logs.folder import (
     read_manifest,
     shards_of,
 )
+from halfseen.logs.frames import as_frame, frame_of
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Filling, Missing, learned_filling
 from halfseen.logs.parquet import MANIFEST

@@ -238,6 +238,7 @@ def arrays_with(folder, **other):
     return lambda rules: read_step_arrays(file, rules)
 
 
+LARGE = [np.uint64(2**63)] * 2 + [np.uint64(1)] * 3
 NOTHING = {name: np.zeros(0) for name in ("terminals", "actions", "rewards", "timeouts")}
 WRONG = {
     rows_with: [
@@ -247,6 +248,8 @@ WRONG = {
         ({"is_first": None, "episode_id": None}, r"no 'is_first' for the beginning of an episode"),
         ({"action": [[0.1, 0.2]] * 5}, r"action holds float64 of shape \(2,\).*discretise"),
         ({"action": [0.5] * 5}, r"action holds float64"),
+        ({"action": LARGE}, r"action is 9223372036854775808, beyond the whole numbers of 64 bits"),
+        ({"episode_id": LARGE}, r"'trajectory' holds .* 64 bits"),
         ({"action": [None, 1, 1, 1, 1]}, r"trajectory 'e0', stage 1: the stage is completed, yet its action is null"),
         ({"reward": [None, 1.0, 1.0, 1.0, 1.0]}, r"trajectory 'e0', stage 1: .*reward is nan"),
         ({"reward": [NAN] * 5}, r"trajectory 'e0', stage 1: .*reward is nan"),

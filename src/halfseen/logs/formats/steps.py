@@ -131,7 +131,7 @@ class StepColumns:
         """Actions of some rows, each one of finitely many: whole numbers (null as None) or text."""
         values, flat = self.columns[name], self._flat(name)[rows]
         if flat.ndim == 1 and flat.dtype.kind in "biu":
-            return flat.astype(np.int64)
+            return self._whole_numbers(name, flat)
         if flat.ndim == 1 and flat.dtype == object and not _is_strange(flat):
             return flat
         if flat.ndim == 1 and flat.dtype.kind == "f":
@@ -164,6 +164,13 @@ class StepColumns:
         if passed_over:
             warn(self.place, f"{', '.join(passed_over)}: no columns of a stage hold it, so it is left out")
         return observed
+
+    def _whole_numbers(self, name: str, flat: np.ndarray) -> Int[np.ndarray, " M"]:
+        if flat.dtype.kind == "u" and (flat >= 2**63).any():
+            raise LogError(
+                f"{self.place}: {name} is {flat.max()}, beyond the whole numbers of 64 bits; give names as text"
+            )
+        return flat.astype(np.int64)
 
     def _flat(self, name: str) -> np.ndarray:
         values = self.columns[name]
