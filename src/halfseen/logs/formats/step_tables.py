@@ -22,16 +22,8 @@ from halfseen.logs.columns import refuse_repeated, shown
 from halfseen.logs.formats.as_text import from_list_texts
 from halfseen.logs.formats.csv_folder import read_cells
 from halfseen.logs.formats.quotes import check_quotes
-from halfseen.logs.formats.steps import (
-    StepColumns,
-    StepRules,
-    StepTable,
-    begins_of,
-    ends_by_observations,
-    even_ends,
-    refuse_early,
-    require,
-)
+from halfseen.logs.formats.step_clocks import ends_by_observations, even_ends
+from halfseen.logs.formats.steps import StepColumns, StepRules, StepTable, begins_of, refuse_early, require
 from halfseen.logs.logs import Logs
 from halfseen.logs.parquet import parquet_file
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, opened_text, refused
