@@ -69,15 +69,18 @@ def ends_by_steps(
     return [one - begin_s for one, begin_s in zip(times_s, begins_s, strict=True)]
 
 
-def refuse_counts(place: str, ends_s: Float[np.ndarray, " M"], means_s: Float[np.ndarray, " E"]) -> None:
-    """Refuse whole numbers that cannot be seconds: of M ends of steps, which last so long in each of E episodes [s].
+def refuse_counts(place: str, ends_s: Float[np.ndarray, " M"], num_steps: Int[np.ndarray, " E"]) -> None:
+    """Refuse whole numbers that cannot be seconds: of M ends of steps [s], so many in each of E episodes.
 
     Raises
     ------
     LogError
-        Steps of half of the episodes last `LONGEST_S` or more on average, and half of them end at whole numbers.
+        Half of the steps or more last `LONGEST_S` or more, and as many end at whole numbers.
     """
-    middle_s = float(np.median(means_s))
+    first = np.cumsum(num_steps) - num_steps
+    lasted_s = np.diff(ends_s, prepend=0.0)
+    lasted_s[first] = ends_s[first]
+    middle_s = float(np.median(lasted_s))
     # The last step of an episode may last what one does by the rate of the dataset.
     if middle_s >= LONGEST_S and np.mean(ends_s == np.floor(ends_s)) >= 0.5:
         raise LogError(

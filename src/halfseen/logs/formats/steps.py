@@ -28,6 +28,7 @@ MOST_NUMBERS = 1000
 """Of one observation; what has more is an image or the like, of which no columns are made."""
 Ending = tuple[str, str | None]
 """Ending and cause, as in `trajectories` of `Logs`."""
+_WORDS = {"true": 1.0, "false": 0.0}
 _MEANT = {"reward": "a number", "done": "true or false", "clock": "a time [s]"}
 
 
@@ -113,13 +114,14 @@ class StepColumns:
         return flat.astype(np.float64)
 
     def flags(self, name: str) -> Bool[np.ndarray, " N"]:
-        """True and false; 1 and 0 are such, and anything else is refused."""
-        numbers = self.numbers(name, "done")
+        """True and false; 1 and 0 are such, and the words as text, and anything else is refused."""
+        flat = self._flat(name)
+        is_text = flat.ndim == 1 and flat.dtype == object
+        numbers = _numbers_of_words(flat) if is_text else self.numbers(name, "done")
         wrong = ~((numbers == 0) | (numbers == 1))
         if wrong.any():
             row = int(np.argmax(wrong))
-            value = shown(self._flat(name)[row])
-            raise LogError(f"{self.place}, row {row}: {name} is {value}, neither true nor false; mend it")
+            raise LogError(f"{self.place}, row {row}: {name} is {shown(flat[row])}, neither true nor false; mend it")
         return numbers.astype(bool)
 
     def actions(self, name: str, rows: Bool[np.ndarray, " N"] | slice = slice(None)) -> Shaped[np.ndarray, " M"]:
@@ -206,7 +208,7 @@ class StepTable:
             name = self.names[int(np.argmin(num_steps))]
             raise LogError(f"{place}, episode {shown(name)}: it has no step; leave the episode out")
         end_s = self.ends_s[np.cumsum(num_steps) - 1]
-        refuse_counts(place, self.ends_s, end_s / num_steps)
+        refuse_counts(place, self.ends_s, num_steps)
         ends: dict[str, Any] = {
             "trajectory": self.names,
             "end_s": end_s,
@@ -282,6 +284,11 @@ def require(place: str, names: Iterable[str], wanted: Mapping[str, str], remedy:
                 f"{place}: there is no {name!r} for the {role} among {', '.join(there[:40]) or 'none'}; "
                 f"{remedy or f'name another as {role}'}"
             )
+
+
+def _numbers_of_words(values: np.ndarray) -> Float[np.ndarray, " N"]:
+    """Truth values among text and null; NaN where there is none."""
+    return np.array([_WORDS.get(str(value).lower(), np.nan) for value in values], dtype=np.float64)
 
 
 def _is_strange(values: np.ndarray) -> bool:
