@@ -199,9 +199,12 @@ class LogStream:
 
     @property
     def stage_covariates(self) -> list[str]:
-        """Names of the stages' covariates, with the columns that tell which were missing."""
+        """Names of the stages' covariates, with those that are filled in and the columns that tell what was missing."""
         there = [name for name in self.as_folder.opened("stages").schema_arrow.names if is_stage_covariate(name)]
-        return there if self.filling is None else [*there, *(name for name in self.filling.flags if name not in there)]
+        if self.filling is None:
+            return there
+        added = (*self.filling.absent_from(there), *self.filling.flags)
+        return [*there, *(name for name in added if name not in there)]
 
     @property
     def filling(self) -> Filling | None:
