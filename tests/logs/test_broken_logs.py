@@ -18,7 +18,7 @@ from halfseen.cli import halfseen
 from halfseen.errors import LogError
 from halfseen.learning import NamedActions
 from halfseen.logs import Logs, read_logs
-from halfseen.logs.columns import as_frame
+from halfseen.logs.frames import as_frame
 from halfseen.tables import TableTask
 from refusals import refused
 from small_logs import log_of

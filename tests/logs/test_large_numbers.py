@@ -119,6 +119,13 @@ def test_fractions_that_may_be_another_number_are_refused(tmp_path, number):
     assert Logs(**found).stages["object"].dropna().tolist() == [LARGE - 2, LARGE - 1, LARGE - 2]
 
 
+@pytest.mark.parametrize("number", [2**63, 2**64, -(2**63) - 1, 2**70])
+@pytest.mark.parametrize("column", ["x", "reward", "action", "trajectory"])
+def test_whole_numbers_of_more_bits_are_refused(column, number):
+    with refused(rf"column '{column}' holds {number}, beyond the whole numbers of 64 bits", LogError):
+        log_of(**{"trajectory": range(2), column: pd.Series([number, 1], dtype=object)})
+
+
 def test_a_recorder_keeps_them(tmp_path):
     one, other = LARGE, LARGE + 1
     with LogRecorder(tmp_path / "recorded") as recorder:

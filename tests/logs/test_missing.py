@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from event_files import WIDE
-from halfseen.errors import ArgumentError, LogError
+from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, LogStream, compact, read_logs
 from halfseen.logs.formats import losses, read_csv, read_event_table, read_sql, write_csv, write_minari
@@ -161,6 +161,23 @@ def test_a_state_is_filled_in_as_its_row_of_a_log(rule):
         assert {name: filled[name] for name in columns} == {name: full[name] for name in columns}
         assert list(said) == [name for name, value in state.items() if value is None]
         last, trajectory = filled, raw["trajectory"]
+
+
+@pytest.mark.parametrize("rule", [MEDIAN, LAST])
+def test_a_column_that_is_not_there_is_filled_in_as_one_of_null(tmp_path, rule):
+    logs = holed_log(0.4)
+    filling = Logs(logs.stages, logs.trajectories, missing=rule).filling
+    lacking = Logs(logs.stages.drop(columns=["x", "colour"]), logs.trajectories, missing="keep")
+    lacking.write(tmp_path / "lacking")
+    null = Logs(logs.stages.assign(x=None, colour=None), logs.trajectories, missing=filling)
+    told = r"stages: there is no column '(x|colour)', and the .* for it in every stage"
+    with pytest.warns(HalfseenWarning, match=told):
+        found = Logs(lacking.stages, logs.trajectories, missing=filling)
+    pd.testing.assert_frame_equal(found.stages[list(null.stages)], null.stages)
+    stream = LogStream(tmp_path / "lacking", missing=filling, trajectories_at_once=10**6)
+    with pytest.warns(HalfseenWarning, match=told):
+        (part,) = stream
+    assert stream.stage_covariates == part.stage_covariates == found.stage_covariates
 
 
 def test_a_state_may_lack_what_is_looked_at_and_nothing_else_is_added():

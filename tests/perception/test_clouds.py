@@ -259,10 +259,13 @@ def test_pcd_files_of_another_library_are_read_right(tmp_path, points, colours, 
         np.testing.assert_array_equal(read, colours)
 
 
-def test_a_float_written_out_in_text_is_a_colour(tmp_path, points, colours):
+@pytest.mark.parametrize("written", ["float", "bits", "opaque"])
+def test_a_float_or_its_bits_as_a_whole_number_in_text_are_a_colour(tmp_path, points, colours, written):
     points[7] = np.nan
     header = ["FIELDS x y z rgb", "SIZE 4 4 4 4", "TYPE F F F F", f"WIDTH {NUM}", "HEIGHT 1", f"POINTS {NUM}"]
-    rows = [f"{x:.9g} {y:.9g} {z:.9g} {c:.9g}" for (x, y, z), c in zip(points, packed(colours).view("f4"), strict=True)]
+    bits = packed(colours, alpha=255 if written == "opaque" else 0)
+    words = [f"{each:.9g}" for each in bits.view("f4")] if written == "float" else map(str, bits)
+    rows = [f"{x:.9g} {y:.9g} {z:.9g} {word}" for (x, y, z), word in zip(points, words, strict=True)]
     (tmp_path / "cloud.pcd").write_text("\n".join([*header, "DATA ascii", *rows]))
     np.testing.assert_array_equal(read_cloud(tmp_path / "cloud.pcd").colours, colours)
 

@@ -25,7 +25,8 @@ import pyarrow.parquet as pq
 
 from halfseen.errors import HalfseenError, LogError, within
 from halfseen.logs.checks import checked_unit
-from halfseen.logs.columns import converting, frame_of
+from halfseen.logs.columns import converting
+from halfseen.logs.frames import frame_of
 from halfseen.logs.journal import is_journal
 from halfseen.logs.missing import Filling
 from halfseen.logs.parquet import FORMAT, MANIFEST, ROWS_IN_GROUP, TABLES, VERSION, parquet_file

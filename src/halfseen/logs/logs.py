@@ -18,13 +18,11 @@ from halfseen.logs.columns import (
     OBJECT_COLUMNS,
     STAGE_COLUMNS,
     TRAJECTORY_COLUMNS,
-    FrameLike,
-    as_frame,
     is_stage_covariate,
     require_columns,
     shown,
-    through_arrow,
 )
+from halfseen.logs.frames import FrameLike, as_frame, through_arrow
 from halfseen.logs.missing import KEEP, Filling, Missing
 from halfseen.logs.parquet import TABLES, write_tables
 from halfseen.shapes import Float

@@ -17,7 +17,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from halfseen.errors import ArgumentError, LogError, did_you_mean
+from halfseen.errors import ArgumentError, LogError, did_you_mean, warn
 from halfseen.lazy import Frame
 
 REFUSE, MEDIAN, LAST, KEEP = "refuse", "median+flag", "last", "keep"
@@ -88,7 +88,7 @@ class Filling:
         return {name + FLAG: name for name, fill in self.fills.items() if fill.has_flag}
 
     def of_log(self, stages: Frame) -> Frame:
-        """Fill in the stages of whole trajectories, which are sorted by trajectory and stage.
+        """Fill in the stages of whole trajectories, which are sorted by trajectory and stage; say what is no column.
 
         Raises
         ------
@@ -96,9 +96,17 @@ class Filling:
             A covariate holds text where the filling is of numbers, or the other way round.
         """
         columns: dict[str, Any] = {}
-        for name in (name for name in self.fills if name in stages.columns):
-            columns |= _filled(stages, name, self.fills[name], stages["trajectory"])
-        return stages.assign(**columns) if columns else stages
+        absent = self.absent_from(stages.columns)
+        for name in absent:
+            warn("stages", f"there is no column {name!r}, and {self.fills[name].stands} for it in every stage")
+        full = stages.assign(**dict.fromkeys(absent)) if absent else stages
+        for name in (name for name in self.fills if name in full.columns):
+            columns |= _filled(full, name, self.fills[name], full["trajectory"])
+        return full.assign(**columns) if columns else full
+
+    def absent_from(self, columns: Collection[str]) -> list[str]:
+        """Covariates that are no columns of a log, and for which something stands."""
+        return [name for name, fill in self.fills.items() if name not in columns and fill.value is not None]
 
     def of_states(self, frame: Frame, names: Collection[str]) -> Frame:
         """Fill in states without a history, as `of_log` does; one of `names` that is no column is missing in all."""

@@ -12,16 +12,7 @@ import pyarrow.compute
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import ArgumentError, LogError, within
 from halfseen.logs.checked_tables import checked_trajectories
-from halfseen.logs.columns import (
-    FINISHED,
-    NEEDED,
-    as_counts,
-    as_frame,
-    frame_of,
-    is_stage_covariate,
-    require_columns,
-    shown,
-)
+from halfseen.logs.columns import FINISHED, NEEDED, as_counts, is_stage_covariate, require_columns, shown
 from halfseen.logs.folder import (
     UNSORTED,
     Folder,
@@ -34,6 +25,7 @@ from halfseen.logs.folder import (
     read_manifest,
     shards_of,
 )
+from halfseen.logs.frames import as_frame, frame_of
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Filling, Missing, learned_filling
 from halfseen.logs.parquet import MANIFEST
@@ -207,9 +199,12 @@ class LogStream:
 
     @property
     def stage_covariates(self) -> list[str]:
-        """Names of the stages' covariates, with the columns that tell which were missing."""
+        """Names of the stages' covariates, with those that are filled in and the columns that tell what was missing."""
         there = [name for name in self.as_folder.opened("stages").schema_arrow.names if is_stage_covariate(name)]
-        return there if self.filling is None else [*there, *(name for name in self.filling.flags if name not in there)]
+        if self.filling is None:
+            return there
+        added = (*self.filling.absent_from(there), *self.filling.flags)
+        return [*there, *(name for name in added if name not in there)]
 
     @property
     def filling(self) -> Filling | None:

@@ -13,7 +13,7 @@ from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, Colours, check_num_points
 from halfseen.perception.frames import FRAME_COMMENT, VIEWPOINT, camera_of, quaternion_of, viewpoint_of
 from halfseen.reading import CLOUD, check_unpacked, opened
-from halfseen.shapes import Shaped
+from halfseen.shapes import Float, Shaped
 from halfseen.writing import write_file
 
 # Comment of a header that carries the pinhole camera [px]: PCD has no field for it, and readers skip comments.
@@ -211,9 +211,16 @@ def _unpacked(column: Shaped[np.ndarray, " n"], points_m: Points, kind: str) -> 
         # From text. Bits of colours are tiny numbers or, if opaque, none: writers make "0.0000000000" or "nan" of them.
         if not column.any() or np.isnan(column[np.isfinite(points_m).all(axis=1)]).any():
             return None
-        column = column.astype(np.float32) if kind == "F" else column.astype(np.int64).astype(np.uint32)
+        is_float = kind == "F" and not _is_whole(column)
+        column = column.astype(np.float32) if is_float else np.nan_to_num(column).astype(np.int64).astype(np.uint32)
     bits = column.view(np.uint32)
     return np.stack([bits >> shift & 0xFF for shift in (16, 8, 0)], axis=1).astype(np.uint8)
+
+
+def _is_whole(column: Float[np.ndarray, " n"]) -> bool:
+    """Whether text of TYPE F holds bits of colours as whole numbers, as some writers do; as fractions they are tiny."""
+    there = column[~np.isnan(column)]
+    return bool((there == np.floor(there)).all() and (there >= 0.0).all() and 1.0 <= there.max(initial=0.0) < 2**32)
 
 
 def _intrinsics(header: dict[str, str], path: Path) -> Intrinsics | None:

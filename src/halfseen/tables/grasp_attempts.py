@@ -22,7 +22,8 @@ from halfseen.censoring import (
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
-from halfseen.logs.columns import FrameLike, as_floats, as_frame, refuse, require_columns, shown
+from halfseen.logs.columns import as_floats, refuse, require_columns, shown
+from halfseen.logs.frames import FrameLike, as_frame
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.grasp_table import History
 from halfseen.world.actions import TARGETED, Verb

@@ -24,7 +24,7 @@ from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator, check_fitted
 from halfseen.learning.behaviour import Derivatives, minimise_each
 from halfseen.learning.svm.estimators import CensoredSVC
-from halfseen.logs.columns import FrameLike
+from halfseen.logs.frames import FrameLike
 from halfseen.shapes import Bool, Float
 from halfseen.tables.grasp_attempts import (
     Decided,

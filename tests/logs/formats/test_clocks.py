@@ -20,9 +20,9 @@ from foreign import (
     write_minari_episodes,
     write_rows,
 )
-from halfseen.errors import HalfseenWarning
+from halfseen.errors import HalfseenWarning, LogError
 from halfseen.logs.formats import StepRules, read_lerobot, read_minari, read_step_arrays, read_steps
-from halfseen.logs.formats.steps import ends_by_observations, ends_by_steps
+from halfseen.logs.formats.step_clocks import ends_by_observations, ends_by_steps
 from refusals import refused
 
 FOUND = episodes(lengths=(3, 3, 3))
@@ -102,6 +102,14 @@ def test_a_clock_of_steps_that_runs_on_is_parted_at_the_ends(tmp_path, read):
 def test_a_beginning_that_nobody_can_tell_is_refused(tmp_path, read, begins, wording):
     with refused(wording):
         read(tmp_path, [[begin + time for time in EACH] for begin in begins])
+
+
+@pytest.mark.parametrize("read", [of_rlds, of_lerobot, of_minari, of_d4rl])
+@pytest.mark.parametrize("per_s", [1e9, 4e6])
+def test_a_clock_in_nanoseconds_or_microseconds_is_refused(tmp_path, read, per_s):
+    times = [0.0, *EACH] if read is not of_d4rl else EACH
+    with refused(r"steps last \S+e\+\d+ s by its clock, in whole numbers, as if it counted nano.*--step-s", LogError):
+        read(tmp_path, [[per_s * time for time in times]] * 3)
 
 
 def test_a_first_step_that_outlasts_the_episode_before_is_believed_and_told():

@@ -1,4 +1,5 @@
 import json
+import resource
 
 import gymnasium
 import minari
@@ -35,6 +36,17 @@ def flat():
 
 
 # Written by halfseen.
+
+
+def test_a_full_disk_is_told_in_one_line_and_nothing_is_left(flat, root):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limits[1]))
+    try:
+        with refused(r"pick-v0: cannot be written \(File too large\)", ArgumentError):
+            write_minari(flat, "pick-v0")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert list(root.iterdir()) == []
 
 
 def test_steps_are_completed_stages_and_the_cut_stage_is_the_last_observation(flat):

@@ -128,6 +128,18 @@ def test_structs_are_taken_apart_and_the_rest_is_left_out_and_told(tmp_path):
     assert logs.stages["observation.lit"].tolist() == [False, True, False]
 
 
+@pytest.mark.parametrize("kind", [pa.string(), pa.dictionary(pa.int32(), pa.string())], ids=["text", "dictionary"])
+def test_flags_may_be_words(tmp_path, kind):
+    rows = rows_of(episodes(lengths=(2, 3)), [True, False])
+    for row in rows:
+        row |= {name: str(bool(row[name])) for name in ("is_first", "is_last", "is_terminal")}
+    table = pa.Table.from_pylist(rows)
+    for name in ("is_first", "is_last", "is_terminal"):
+        table = table.set_column(table.column_names.index(name), name, pa.array(table[name].to_pylist(), kind))
+    pq.write_table(table, tmp_path / "steps.parquet")
+    assert read_steps(tmp_path / "steps.parquet", SECONDS).trajectories["ending"].tolist() == ["finished", "cut"]
+
+
 @pytest.mark.parametrize("kind", [pa.list_(pa.float32(), 2), pa.large_list(pa.float64())], ids=["fixed", "large"])
 def test_lists_of_any_kind_are_columns(tmp_path, kind):
     found = episodes(lengths=(2,))
@@ -238,6 +250,7 @@ def arrays_with(folder, **other):
     return lambda rules: read_step_arrays(file, rules)
 
 
+LARGE = [np.uint64(2**63)] * 2 + [np.uint64(1)] * 3
 NOTHING = {name: np.zeros(0) for name in ("terminals", "actions", "rewards", "timeouts")}
 WRONG = {
     rows_with: [
@@ -247,13 +260,16 @@ WRONG = {
         ({"is_first": None, "episode_id": None}, r"no 'is_first' for the beginning of an episode"),
         ({"action": [[0.1, 0.2]] * 5}, r"action holds float64 of shape \(2,\).*discretise"),
         ({"action": [0.5] * 5}, r"action holds float64"),
+        ({"action": LARGE}, r"action is 9223372036854775808, beyond the whole numbers of 64 bits"),
+        ({"episode_id": LARGE}, r"'trajectory' holds .* 64 bits"),
         ({"action": [None, 1, 1, 1, 1]}, r"trajectory 'e0', stage 1: the stage is completed, yet its action is null"),
         ({"reward": [None, 1.0, 1.0, 1.0, 1.0]}, r"trajectory 'e0', stage 1: .*reward is nan"),
         ({"reward": [NAN] * 5}, r"trajectory 'e0', stage 1: .*reward is nan"),
         ({"is_last": [NO, YES, YES, NO, YES]}, r"episode 'e1': step 1 of 3 ends it; make two"),
         ({"is_terminal": [YES, YES, NO, NO, NO]}, r"episode 'e0': step 1 of 2 ends it"),
         ({"is_last": [NO] * 5}, r"episode 'e0': its last row terminates it and is not is_last"),
-        ({"is_last": [NO, YES, None, NO, YES]}, r"is_last"),
+        ({"is_last": [NO, YES, None, NO, YES]}, r"row 2: is_last is null, neither true nor false; mend it"),
+        ({"is_last": [*"ntnnt"]}, r"row 0: is_last is 'n', neither true nor false; mend it"),
         ({"is_first": [YES, NO, NO, NO, NO]}, r"row 2: is_first is False, yet episode_id is 'e1'"),
         ({"episode_id": None, "is_first": [NO, NO, YES, NO, NO]}, r"row 0: is_first is false"),
         ({"episode_id": [*"abaaa"], "is_first": [YES, YES, YES, NO, NO]}, r"'a' do not stand"),

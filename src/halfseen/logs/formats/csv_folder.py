@@ -33,9 +33,10 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.csv as arrow_csv
 
-from halfseen.errors import LogError, within
+from halfseen.errors import LogError, warn, within
 from halfseen.logs.columns import OWN_NAMES, converting, refuse_repeated, shown
 from halfseen.logs.formats.as_text import CSV, ColumnType, as_cells, column_types, from_texts, list_type, refuse_lost
+from halfseen.logs.formats.quotes import check_quotes
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.reading import TABLE, json_of, opened_text, read_text, refused
@@ -144,6 +145,8 @@ def _read_cells(file: Path) -> pa.Table:
     with refused(file, "it is no CSV file of one table", remedy, missing):
         with opened_text(file, TABLE) as lines:
             header = next(csv.reader(lines), [])
+            lines.seek(0)
+            check_quotes(file, lines, on_rows=warn)
         if len(header) == 1 and ";" in header[0]:
             raise LogError(f"{file}: its cells are separated by ';'; export it with commas, and points in numbers")
         broken = [name for name in header if len(name.splitlines()) > 1]

@@ -25,18 +25,9 @@ import pyarrow as pa
 
 from halfseen.errors import LogError, warn
 from halfseen.logs.columns import FINISHED, shown
+from halfseen.logs.formats.step_clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.step_tables import as_array, read_tables, whole_table
-from halfseen.logs.formats.steps import (
-    Ending,
-    StepColumns,
-    StepRules,
-    StepTable,
-    begins_of,
-    ends_by_observations,
-    even_ends,
-    refuse_early,
-    require,
-)
+from halfseen.logs.formats.steps import Ending, StepColumns, StepRules, StepTable, begins_of, refuse_early, require
 from halfseen.logs.logs import Logs
 from halfseen.logs.parquet import parquet_file
 from halfseen.reading import json_of, read_text, reason_of

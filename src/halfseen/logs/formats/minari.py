@@ -101,7 +101,7 @@ def write_minari(logs: Logs, dataset_id: str) -> None:
         No stage was completed, or a column has no form as text.
     """
     minari, spaces = extra("minari", "minari"), extra("gymnasium.spaces", "minari")
-    extra("h5py", "minari")
+    h5py = extra("h5py", "minari")
     refuse_lost(logs, MINARI)
     target, types, observed = _target(dataset_id), column_types(logs.tables), _observed(logs)
     notes = _notes(logs, types)
@@ -115,7 +115,7 @@ def write_minari(logs: Logs, dataset_id: str) -> None:
     episodes = [(note, steps) for note, steps in zip(notes, arrays, strict=True) if len(steps["actions"])]
     metadata = {"version": VERSION, "actions": actions, "observations": observed, "types": types}
     metadata |= {"reward_unit": logs.reward_unit, "without_steps": without}
-    with placed(target) as fresh, _datasets_in(fresh), warnings.catch_warnings():
+    with placed(target) as fresh, _datasets_in(fresh), _written_at_once(h5py), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Minari misses an author, a licence and an environment
         dataset = minari.create_dataset_from_buffers(
             dataset_id,
@@ -312,6 +312,29 @@ def _datasets_in(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.environ.pop(_ROOT) if before is None else os.environ.update({_ROOT: before})
+
+
+@contextmanager
+def _written_at_once(h5py: Any) -> Iterator[None]:
+    """Let HDF5 write into memory, and write that as it closes; where a disk is full, HDF5 brings the process down."""
+
+    class InMemory(h5py.File):
+        def __init__(self, name: Any, mode: str = "r", **given: Any) -> None:
+            super().__init__(name, mode, driver="core", backing_store=False, **given)
+
+        def close(self) -> None:
+            path, is_changed = Path(self.filename), self.mode != "r"
+            self.flush()
+            content = self.id.get_file_image()
+            super().close()
+            if is_changed:
+                path.write_bytes(content)
+
+    on_disk, h5py.File = h5py.File, InMemory
+    try:
+        yield
+    finally:
+        h5py.File = on_disk
 
 
 def _lift(folder: Path, dataset_id: str) -> None:

@@ -20,17 +20,8 @@ import numpy as np
 from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.installation import extra
 from halfseen.logs.columns import CUT
-from halfseen.logs.formats.steps import (
-    Ending,
-    StepColumns,
-    StepRules,
-    StepTable,
-    columns_of,
-    ends_by_steps,
-    even_ends,
-    refuse_early,
-    require,
-)
+from halfseen.logs.formats.step_clocks import ends_by_steps, even_ends
+from halfseen.logs.formats.steps import Ending, StepColumns, StepRules, StepTable, columns_of, refuse_early, require
 from halfseen.logs.logs import Logs
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, refused
 from halfseen.shapes import Float, Shaped

@@ -21,19 +21,12 @@ from halfseen.errors import LogError, warn
 from halfseen.logs.columns import refuse_repeated, shown
 from halfseen.logs.formats.as_text import from_list_texts
 from halfseen.logs.formats.csv_folder import read_cells
-from halfseen.logs.formats.steps import (
-    StepColumns,
-    StepRules,
-    StepTable,
-    begins_of,
-    ends_by_observations,
-    even_ends,
-    refuse_early,
-    require,
-)
+from halfseen.logs.formats.quotes import check_quotes
+from halfseen.logs.formats.step_clocks import ends_by_observations, even_ends
+from halfseen.logs.formats.steps import StepColumns, StepRules, StepTable, begins_of, refuse_early, require
 from halfseen.logs.logs import Logs
 from halfseen.logs.parquet import parquet_file
-from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, refused
+from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, opened_text, refused
 from halfseen.shapes import Bool, Float, Int, Shaped
 
 SEEN = "observation"
@@ -227,6 +220,8 @@ def _read(file: Path, columns: list[str] | None) -> pa.Table:
 
 
 def _csv(file: Path) -> pa.Table:
+    with opened_text(file, TABLE) as lines:
+        check_quotes(file, lines)
     with opened(file, TABLE) as bytes_in:
         convert = arrow_csv.ConvertOptions(null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False)
         table = read_cells(bytes_in, convert)

@@ -6,10 +6,6 @@ not, into the last step itself, whose reward is passed over, as a stage that was
 
 Columns have one row a step. What is observed may be whole arrays, of which columns are made; all else is one value a
 step.
-
-Times count from the beginning of an episode. Those of T + 1 observations say when it began. Those at which its T steps
-ended do not: such a clock begins at 0 in each episode, or it runs on over episodes, and each begins when the one before
-ended.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,16 +19,16 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, LogError, warn, within
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
+from halfseen.logs.formats.step_clocks import refuse_counts
 from halfseen.logs.logs import Logs
 from halfseen.shapes import Bool, Float, Int, Shaped
 
 TRUNCATED = "truncated"
 MOST_NUMBERS = 1000
 """Of one observation; what has more is an image or the like, of which no columns are made."""
-MOST_FIRST = 3.0
-"""How many times as long as the longest other step a first one may be, where it is not sure when it began."""
 Ending = tuple[str, str | None]
 """Ending and cause, as in `trajectories` of `Logs`."""
+_WORDS = {"true": 1.0, "false": 0.0}
 _MEANT = {"reward": "a number", "done": "true or false", "clock": "a time [s]"}
 
 
@@ -118,20 +114,21 @@ class StepColumns:
         return flat.astype(np.float64)
 
     def flags(self, name: str) -> Bool[np.ndarray, " N"]:
-        """True and false; 1 and 0 are such, and anything else is refused."""
-        numbers = self.numbers(name, "done")
+        """True and false; 1 and 0 are such, and the words as text, and anything else is refused."""
+        flat = self._flat(name)
+        is_text = flat.ndim == 1 and flat.dtype == object
+        numbers = _numbers_of_words(flat) if is_text else self.numbers(name, "done")
         wrong = ~((numbers == 0) | (numbers == 1))
         if wrong.any():
             row = int(np.argmax(wrong))
-            value = shown(self._flat(name)[row])
-            raise LogError(f"{self.place}, row {row}: {name} is {value}, neither true nor false; mend it")
+            raise LogError(f"{self.place}, row {row}: {name} is {shown(flat[row])}, neither true nor false; mend it")
         return numbers.astype(bool)
 
     def actions(self, name: str, rows: Bool[np.ndarray, " N"] | slice = slice(None)) -> Shaped[np.ndarray, " M"]:
         """Actions of some rows, each one of finitely many: whole numbers (null as None) or text."""
         values, flat = self.columns[name], self._flat(name)[rows]
         if flat.ndim == 1 and flat.dtype.kind in "biu":
-            return flat.astype(np.int64)
+            return self._whole_numbers(name, flat)
         if flat.ndim == 1 and flat.dtype == object and not _is_strange(flat):
             return flat
         if flat.ndim == 1 and flat.dtype.kind == "f":
@@ -164,6 +161,13 @@ class StepColumns:
         if passed_over:
             warn(self.place, f"{', '.join(passed_over)}: no columns of a stage hold it, so it is left out")
         return observed
+
+    def _whole_numbers(self, name: str, flat: np.ndarray) -> Int[np.ndarray, " M"]:
+        if flat.dtype.kind == "u" and (flat >= 2**63).any():
+            raise LogError(
+                f"{self.place}: {name} is {flat.max()}, beyond the whole numbers of 64 bits; give names as text"
+            )
+        return flat.astype(np.int64)
 
     def _flat(self, name: str) -> np.ndarray:
         values = self.columns[name]
@@ -203,9 +207,11 @@ class StepTable:
         if not num_steps.all():
             name = self.names[int(np.argmin(num_steps))]
             raise LogError(f"{place}, episode {shown(name)}: it has no step; leave the episode out")
+        end_s = self.ends_s[np.cumsum(num_steps) - 1]
+        refuse_counts(place, self.ends_s, num_steps)
         ends: dict[str, Any] = {
             "trajectory": self.names,
-            "end_s": self.ends_s[np.cumsum(num_steps) - 1],
+            "end_s": end_s,
             "ending": [ending for ending, _ in self.endings],
             "cause": [cause for _, cause in self.endings],
         }
@@ -280,53 +286,9 @@ def require(place: str, names: Iterable[str], wanted: Mapping[str, str], remedy:
             )
 
 
-def even_ends(begins: Int[np.ndarray, " E1"], step_s: float) -> Float[np.ndarray, " M"]:
-    """Ends of steps since their episode began [s] that last the same time each, by the steps that begin episodes."""
-    return step_s * (np.arange(1.0, begins[-1] + 1) - np.repeat(begins[:-1], np.diff(begins)))
-
-
-def ends_by_observations(
-    times_s: Float[np.ndarray, " N"], begins: Int[np.ndarray, " E1"], last_s: float = 0.0
-) -> Float[np.ndarray, " N"]:
-    """Ends of rows since their episode began [s], by when each was observed [s]; the last one lasts `last_s` [s]."""
-    ends_s, last = np.append(times_s[1:], 0.0), begins[1:] - 1
-    ends_s[last] = times_s[last] + last_s
-    return ends_s - np.repeat(times_s[begins[:-1]], np.diff(begins))
-
-
-def ends_by_steps(
-    place: str, clock: str, names: Sequence[int | str], times_s: Sequence[Float[np.ndarray, " _"]]
-) -> list[Float[np.ndarray, " _"]]:
-    """Ends of steps since their episode began [s], by the clock at the ends of the steps of each, in order [s].
-
-    Raises
-    ------
-    LogError
-        An episode begins at a time that nobody can tell: its first step would last far longer than any later one.
-    """
-    runs_on = np.array([one[-1] < other[0] for one, other in pairwise(times_s)], dtype=bool)
-    if not runs_on.any():
-        return list(times_s)
-    is_on = bool(runs_on.all())
-    begins_s = [0.0, *(float(one[-1]) if is_on else 0.0 for one in times_s[:-1])]
-    first_s = np.array([float(one[0]) - begin_s for one, begin_s in zip(times_s, begins_s, strict=True)])
-    later_s = np.concatenate([np.diff(one) for one in times_s])
-    unsure_s = np.where(np.append(is_on, runs_on), first_s, 0.0)
-    wrong = unsure_s > MOST_FIRST * later_s.max(initial=-np.inf)
-    if len(later_s) and wrong.any():
-        k = int(np.argmax(wrong))
-        raise LogError(
-            f"{place}, episode {shown(names[k])}: by {clock} its first step would last {unsure_s[k]:g} s, and no later "
-            f"step lasts more than {later_s.max():g} s; let {clock} begin at 0 in each episode, name a clock of the "
-            "observations, or give step_s"
-        )
-    on, own = "begins when the one before ended, and the first at 0", "counts from its own beginning, as others do"
-    warn(
-        place,
-        f"{clock} is later in the first step of an episode than at the end of the one before, {int(runs_on.sum())} of "
-        f"{len(runs_on)} times: each {on if is_on else own}; the first steps last up to {first_s.max():g} s",
-    )
-    return [one - begin_s for one, begin_s in zip(times_s, begins_s, strict=True)]
+def _numbers_of_words(values: np.ndarray) -> Float[np.ndarray, " N"]:
+    """Truth values among text and null; NaN where there is none."""
+    return np.array([_WORDS.get(str(value).lower(), np.nan) for value in values], dtype=np.float64)
 
 
 def _is_strange(values: np.ndarray) -> bool:

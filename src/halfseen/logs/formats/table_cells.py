@@ -20,6 +20,7 @@ import pyarrow as pa
 from halfseen.errors import ArgumentError, LogError, did_you_mean
 from halfseen.logs.columns import refuse_repeated, shown
 from halfseen.logs.formats.mapping import Layout
+from halfseen.logs.formats.quotes import check_quotes
 from halfseen.logs.formats.step_tables import LAST, whole_table
 from halfseen.logs.parquet import parquet_file
 from halfseen.reading import TABLE, opened, reason_of
@@ -135,6 +136,8 @@ def _split(file: Path, text: str, layout: Layout) -> Cells:
     if named := re.fullmatch(r"sep=(.)\s*", lines.readline(), re.IGNORECASE):  # as spreadsheets write it
         start, number = lines.tell(), number + 1
     separator = layout.separator or (named[1] if named else _separator(file, text[start:]))
+    lines.seek(start)
+    check_quotes(file, lines, separator, first=number + 1, is_spaced=True)
     lines.seek(start)
     reader = csv.reader(lines, delimiter=separator, skipinitialspace=True)
     kept: list[list[str]] = []

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from halfseen import figures as pages
 from halfseen.figures import BLUE, INK, ORANGE, RED, SKY
-from halfseen.logs.columns import FrameLike, as_frame
+from halfseen.logs.frames import FrameLike, as_frame
 from halfseen.planners.heuristics import TrueGrasp
 from halfseen.shapes import Float
 from halfseen.study import compare, figures

@@ -1,0 +1,61 @@
+"""A stray quote takes the rows below it into its cell, and is told."""
+
+import pytest
+
+from halfseen.errors import HalfseenWarning, LogError
+from halfseen.logs.formats import StepRules, read_csv, read_steps
+from refusals import refused
+
+ROWS = 40
+NEVER_CLOSED = r"line 6: a quote opens a cell here, and none closes it"
+LIKE_ROWS = r"line 6: a quote opens a cell here that ends in line 20, and each line of it looks like a row"
+MAPPING = """
+clock = {field = "s", unit = "s", since = "trajectory"}
+trajectory = {field = "run"}
+action = {field = "tool"}
+reward = {field = "worth"}
+ending = {field = "stop", finished = [""]}
+"""
+
+
+def quoted(heading, row, *lines):
+    """A table whose last column is text, with a quote before that of some lines, numbered from 1."""
+    rows = [heading, *(row.format(k) for k in range(ROWS))]
+    for line in lines:
+        before, _, note = rows[line - 1].rpartition(",")
+        rows[line - 1] = f'{before},"{note}' if line == lines[0] else f'{before},{note}"'
+    return "\n".join(rows) + "\n"
+
+
+@pytest.mark.parametrize(("lines", "told"), [((6,), NEVER_CLOSED), ((6, 20), LIKE_ROWS)])
+def test_a_stray_quote_in_others_tables_is_refused_with_its_line(tmp_path, read_table, lines, told):
+    with refused(told, LogError):
+        read_table(quoted("run,tool,s,worth,stop", "{0},a,{0},1,x", *lines), MAPPING)
+    names = "episode_id,is_first,is_last,is_terminal,observation,action,reward,note"
+    (tmp_path / "steps.csv").write_text(quoted(names, "{0},true,false,false,1.5,a,1,x", *lines))
+    with refused(told, LogError):
+        read_steps(tmp_path / "steps.csv", StepRules(step_s=1.0))
+
+
+def test_a_stray_quote_in_logs_as_csv_is_told(tmp_path):
+    stages = ("trajectory,stage,elapsed_s,action,reward,note", "{},1,1.0,a,1,x")
+    trajectories = ("trajectory,end_s,ending,note", "{},1.0,finished,x")
+
+    def read(in_stages=(), in_trajectories=()):
+        (tmp_path / "stages.csv").write_text(quoted(*stages, *in_stages))
+        (tmp_path / "trajectories.csv").write_text(quoted(*trajectories, *in_trajectories))
+        return read_csv(tmp_path)
+
+    assert len(read().stages) == ROWS
+    for lines in [((6,), ()), ((), (6,))]:
+        with refused(NEVER_CLOSED, LogError):
+            read(*lines)
+    # Our own writer may have written such a cell.
+    with pytest.warns(HalfseenWarning, match=LIKE_ROWS):
+        assert len(read((6, 20), (6, 20)).stages) == ROWS - 14
+
+
+def test_cells_of_several_lines_and_quotes_within_cells_are_read(read_table):
+    text = 'run,tool,s,worth,stop\n1, "a, ""b""\n\nc",1,1,\n2,5" d,1,1,\n3,"x"y,1,1,"\n"\n'
+    found = read_table(text, MAPPING).stages
+    assert found["action"].tolist() == ['a, "b"\n\nc', '5" d', "xy"]
