@@ -27,6 +27,7 @@ PASSED_OVER = {
     "shapes",
     "errors",
     "progress",
+    "suggestions",
     "text_table",
 }
 """Layers of the package that data does not pass: what all of it stands on."""

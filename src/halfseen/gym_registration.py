@@ -31,7 +31,7 @@ def register() -> None:
 class _RegisterAfterImport:
     """A finder on `sys.meta_path` that leaves Gymnasium's import unchanged and registers once its module has run."""
 
-    def find_spec(self, fullname: str, trajectory: Any = None, target: Any = None) -> Any:
+    def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> Any:
         if fullname != "gymnasium":
             return None
         sys.meta_path.remove(self)
