@@ -76,8 +76,7 @@ class Cloud:
     ----------
     points_m
         Points in the camera frame (x right, y down, z forward) or in another one [m]. A ray without return is a row of
-        NaN, so that it keeps its pixel. Rows that are not finite, or exactly at the origin or the eye, count as no
-        return.
+        NaN: unknown, not empty. Rows that are not finite, or exactly at the origin or the eye, count as no return.
     shape
         Rows and columns of the image [px] when the points are organised row by row, else None.
     intrinsics

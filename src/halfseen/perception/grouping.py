@@ -106,7 +106,7 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
     sheets
         Sheet of each pixel; −1 where there is none.
     plane, image
-        The table and what the camera sees.
+        The table and the range image.
 
     Returns
     -------

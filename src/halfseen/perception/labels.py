@@ -73,9 +73,9 @@ class Label:
     share_in_view
         Share of its walls, inside and out, that was in view, in [0, 1]; None if unknown.
     num_stained_px
-        How many of its pixels look stained.
+        Number of its pixels that look stained.
     num_seen_px
-        How many of its pixels were in view.
+        Number of its pixels in view.
     """
 
     is_dirty: bool | None
@@ -91,7 +91,7 @@ class Label:
 
 @runtime_checkable
 class Labeller(Protocol):
-    """Whatever labels the objects of a view, such as a `StainCounter` or a function of one's own."""
+    """Labels the objects of a view; a `StainCounter`, for example, or a user's function."""
 
     def __call__(self, view: View, cloud: Cloud) -> Sequence[Label]:
         """Label each object of a view.
@@ -99,14 +99,14 @@ class Labeller(Protocol):
         Parameters
         ----------
         view
-            What `perceive` saw in the cloud.
+            View of the cloud from `perceive`.
         cloud
             The cloud.
 
         Returns
         -------
         Sequence of Label
-            One an object, in the order of `View.objects`.
+            One per object, in the order of `View.objects`.
         """
         ...
 
