@@ -73,7 +73,7 @@ class Motor:
     Raises
     ------
     SceneError
-        One of them is not positive.
+        A value is not positive.
     """
 
     speed_rad_s: float

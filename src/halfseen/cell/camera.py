@@ -1,4 +1,4 @@
-"""The depth camera over the running cell: its cloud without the robots, whose pose is known, and objects they cut.
+"""The depth camera over the running cell: its cloud, without the robots, whose pose is known, and the objects they cut.
 
 Static geometry is rendered once. Robots are added by the rays that may hit them or their shadow, cups facet by facet.
 If an arm or its held object hides part of an object, shape completion would be wrong and a stain behind it would count

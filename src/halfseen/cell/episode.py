@@ -166,7 +166,7 @@ class _Episode:
             rows,
             VERB_NAMES[verb],
             target if verb in TARGETED else None,
-            None if np.isnan(probability) else probability,  # a planner cannot say it
+            None if np.isnan(probability) else probability,  # planners give no probability
             number if self.is_team else None,
         )
         arm = self.state.arms[number]

@@ -1,4 +1,4 @@
-"""Activities of an arm: fetch an object, turn it before the camera, put it back or into the rack."""
+"""Activities of an arm: fetch an object, turn it in front of the camera, put it back or into the rack."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
