@@ -1,13 +1,13 @@
-"""The physical cell: arms that try what they planned from their own cloud.
+"""The physical cell: arms that execute grasps planned from their own point cloud.
 
-Read down: `gripper`, `arm` or `chain` and `arm_file`, `model` (what there is, as one MuJoCo model) → `kinematics`
-(angles of a hand) → `live_cell`, `camera` (physics and looks) → `grasps`, `planning` (where a hand closes, how it gets
-there, and where an arm waits) → `fetching` (what an arm does with an object) → `facts`, `memory` (what the robot knows)
-→ `workcell` (one table and its robots) → `table_state`, `rewards` (what a policy decides in, and what it earns) →
-`space`, `executor` (K arms in one clock) → `episode` (one table to its end) → `campaign` (many) → `summary`, `film`;
-`calibration` (laws from what was tried).
+Reading order: `gripper`, `arm` or `chain` and `arm_file`, `model` (the cell as one MuJoCo model) → `kinematics`
+(joint angles for a hand pose) → `live_cell`, `camera` (physics and looks) → `grasps`, `planning` (where a hand closes,
+how it gets there, and where an arm waits) → `fetching` (what an arm does with an object) → `facts`, `memory` (what the
+robot knows) → `workcell` (one table and its robots) → `table_state`, `rewards` (a policy's state and its rewards) →
+`space`, `executor` (K arms on one clock) → `episode` (one table to its end) → `campaign` (many) → `summary`, `film`;
+`calibration` (models fitted to attempts).
 
-MuJoCo loads when one of these names is asked for, never when this package is imported.
+MuJoCo loads when one of these names is first used, not when this package is imported.
 """
 
 from typing import TYPE_CHECKING

@@ -1,7 +1,7 @@
 """A serial arm from its Denavit–Hartenberg table [DenavitHartenberg1955]_, as capsules.
 
-Joint i turns about z of frame i − 1; frame i lies d_i along that axis, then a_i along the new x, about which it is
-tilted by α_i. The frame after the last joint is the *flange*, whose z points out of the arm.
+Joint i rotates about the z axis of frame i − 1. Frame i is offset by d_i along that axis and by a_i along the new x
+axis, about which it is rotated by α_i. The frame after the last joint is the *flange*; its z points out of the arm.
 """
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
@@ -18,7 +18,7 @@ from halfseen.cell.gripper import ROBOT, require_finite, require_positive
 from halfseen.errors import SceneError
 from halfseen.shapes import Float
 
-LEAST_JOINTS = 5  # with fewer an arm reaches places, but cannot point its hand there
+LEAST_JOINTS = 5  # with fewer, an arm cannot orient its hand
 
 
 @runtime_checkable
@@ -27,7 +27,7 @@ class SerialArm(Protocol):
 
     @property
     def name(self) -> str:
-        """What it is."""
+        """Name of the arm."""
         ...
 
     @property
@@ -42,14 +42,14 @@ class SerialArm(Protocol):
 
     @property
     def search_rad(self) -> Float[np.ndarray, "J 2"]:
-        """Least and largest angle of each joint at which a search for angles begins [rad]."""
+        """Lower and upper bound of each joint's start angles in inverse kinematics [rad]."""
         ...
 
     def spec(self) -> mujoco.MjSpec:
         """Build the arm alone.
 
-        Its joints and their position servos are both called ``joint_1``, ``joint_2``, …, from the base on; a site
-        ``flange`` has its z out of the arm; and its geoms carry the bits of `halfseen.cell.gripper.ROBOT`.
+        Joints and their position servos are both named ``joint_1``, ``joint_2``, …, from the base on. The z axis of the
+        site ``flange`` points out of the arm. Geoms carry the contact bits of `halfseen.cell.gripper.ROBOT`.
         """
         ...
 
@@ -59,21 +59,21 @@ _GREY = (0.25, 0.25, 0.28, 1.0)
 
 @dataclass(frozen=True)
 class Motor:
-    """What turns a joint.
+    """The drive of a joint.
 
     Parameters
     ----------
     speed_rad_s
         Largest speed [rad/s].
     stiffness_nm
-        Of its position servo [N·m/rad].
+        Stiffness of the position servo [N·m/rad].
     armature_kgm2
-        Inertia behind the gear [kg·m²].
+        Rotor inertia, reflected through the gear [kg·m²].
 
     Raises
     ------
     SceneError
-        One of them is not positive.
+        A value is not positive.
     """
 
     speed_rad_s: float
@@ -86,29 +86,29 @@ class Motor:
 
 @dataclass(frozen=True)
 class Joint:
-    """A row of the table, and the link that the joint moves.
+    """A row of the Denavit–Hartenberg table, and the link that the joint moves.
 
     Parameters
     ----------
     d_m, a_m, alpha_rad
-        From frame i − 1 to frame i [m, m, rad].
+        Transform from frame i − 1 to frame i [m, m, rad].
     zero_rad
-        The table's angle where the arm counts 0 [rad].
+        Table angle at the joint's zero position [rad].
     motor
-        What turns it.
+        Drive of the joint.
     mass_kg, radius_m
-        Of the link [kg, m].
+        Mass and radius of the link [kg, m].
     begin_m
-        Where the link begins along the joint's axis, from frame i − 1 [m].
+        Start of the link along the joint's axis, from frame i − 1 [m].
     limits_rad
-        Least and largest angle [rad]; None for a joint that turns without end.
+        Lower and upper joint limit [rad]; None for an endless joint.
     is_reversed
-        Whether the arm counts the other way round.
+        Whether the joint's positive direction is opposite to the table's.
 
     Raises
     ------
     SceneError
-        The link weighs nothing or has no thickness, a length or an angle is not finite, or the limits are reversed.
+        The link's mass or radius is not positive, a length or an angle is not finite, or the limits are reversed.
     """
 
     d_m: float
@@ -136,21 +136,21 @@ class Arm:
     Parameters
     ----------
     name
-        What it is.
+        Name of the arm.
     joints
-        From the base on.
+        Joints, from the base on.
     flange_m
-        Where the last link ends along the last axis, from frame n − 1 [m]: what is mounted begins there.
+        End of the last link along the last axis, from frame n − 1, where a tool is mounted [m].
     base_mass_kg, base_radius_m
-        Of what stands on the floor [kg, m].
+        Mass and radius of the base [kg, m].
     begins_rad
-        Least and largest angle of each joint at which a search for angles begins [rad]; None for all that it can take.
+        Lower and upper bound of each joint's start angles in inverse kinematics [rad]; None for its full range.
 
     Raises
     ------
     SceneError
-        It has too few joints to point its hand, its base weighs nothing or has no thickness, or there
-        is not one range to begin in for every joint.
+        The arm has too few joints to orient its hand, the base's mass or radius is not positive, or the number of
+        ranges in `begins_rad` differs from the number of joints.
     """
 
     name: str
@@ -185,7 +185,7 @@ class Arm:
 
     @property
     def search_rad(self) -> Float[np.ndarray, "J 2"]:
-        """Least and largest angle of each joint at which a search for angles begins [rad]."""
+        """Lower and upper bound of each joint's start angles in inverse kinematics [rad]."""
         return np.array(self.begins_rad or [joint.limits_rad or (-pi, pi) for joint in self.joints])
 
     def spec(self) -> mujoco.MjSpec:
@@ -233,20 +233,20 @@ _IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def _next_frame(joint: Joint) -> tuple[np.ndarray, np.ndarray]:
-    """Frame i in frame i − 1 turned by the joint: position [m] and quaternion."""
+    """Frame i relative to frame i − 1 after the joint's rotation: position [m] and quaternion."""
     half = 0.5 * joint.alpha_rad
     return np.array([joint.a_m, 0.0, joint.d_m]), np.array([cos(half), sin(half), 0.0, 0.0])
 
 
 def _turned(position_m: np.ndarray, quaternion: np.ndarray, angle_rad: float) -> tuple[np.ndarray, np.ndarray]:
-    """Turn a frame about its z."""
+    """Rotate a frame about its z axis."""
     about_z, turned = np.array([cos(0.5 * angle_rad), 0.0, 0.0, sin(0.5 * angle_rad)]), np.zeros(4)
     mujoco.mju_mulQuat(turned, quaternion, about_z)
     return position_m, turned
 
 
 def _carried(frame: tuple[np.ndarray, np.ndarray], point_m: tuple[float, float, float]) -> np.ndarray:
-    """Carry a point of a frame over."""
+    """Transform a point out of a frame."""
     turned = np.zeros(3)
     mujoco.mju_rotVecQuat(turned, np.array(point_m, dtype=np.float64), frame[1])
     return frame[0] + turned
@@ -264,7 +264,7 @@ def _add_capsule(body: mujoco.MjsBody, begin_m: Any, end_m: Any, radius_m: float
 
 
 _WRIST_M, _BEND_RAD = 0.0741, radians(30.0)
-_FOLD_M = _WRIST_M * sin(_BEND_RAD) / sin(2 * _BEND_RAD)  # from a joint of the bent wrist to where two axes would meet
+_FOLD_M = _WRIST_M * sin(_BEND_RAD) / sin(2 * _BEND_RAD)  # from a joint of the bent wrist to its axes' intersection
 _FOREARM_M, _OFFSET_M = 0.2073, 0.0098
 _LARGE = Motor(speed_rad_s=radians(36.0), stiffness_nm=4000.0, armature_kgm2=0.5)
 _SMALL = Motor(speed_rad_s=radians(48.0), stiffness_nm=1200.0, armature_kgm2=0.2)
@@ -285,7 +285,7 @@ JACO_2 = Arm(
     base_radius_m=0.045,
     begins_rad=(_WIDE_RAD, (2.0, 4.3), (0.6, 3.1), _WIDE_RAD, _WIDE_RAD, _WIDE_RAD),
 )
-"""Lengths, axes, limits, masses and speeds as its maker publishes them; servos and capsules are ours.
+"""Lengths, axes, limits, masses and speeds from the manufacturer; servos and capsules are our choice.
 
-Searches begin with its elbow up.
+Inverse kinematics starts with the elbow up.
 """

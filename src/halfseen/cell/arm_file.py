@@ -1,8 +1,8 @@
-"""An arm from a user's MJCF file: its links and hinges as they are there, moved by servos of ours.
+"""An arm from a user's MJCF file: its links and hinges, with our own servos.
 
-The file is compiled as it stands, and from what came out the arm is built again: bodies with their inertia, hinges, and
-shapes that can be touched. Nothing else comes along: not its hand, other robots, what stands about, keyframes, motors,
-sensors, equalities or tendons. So it fits into any cell, from any folder. Nothing in it is run or downloaded.
+The file is compiled unchanged, and the arm is rebuilt from the compiled model: bodies with their inertia, hinges, and
+collision shapes. Everything else is dropped: its hand, other robots, surroundings, keyframes, motors, sensors,
+equalities and tendons. The arm therefore fits into any cell, from any folder. Nothing in the file is run or downloaded.
 """
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
@@ -23,10 +23,10 @@ from halfseen.errors import SceneError
 from halfseen.scene.poses import Pose, from_matrix
 from halfseen.shapes import Float
 
-_ARMATURE_KGM2 = 0.2  # at least, behind a gear: a light wrist must hold a cup
-_RATE_PER_S = 70.0  # at which servos follow: that of the arm that the cell's values were found with
+_ARMATURE_KGM2 = 0.2  # minimum: a light wrist must hold a cup
+_RATE_PER_S = 70.0  # response rate of the servos: that of the arm with which the cell was tuned
 _NUM_DRAWN = 64
-_LEAST_KG, _LEAST_KGM2 = 1e-3, 1e-6  # what turns must weigh something, once its hand is taken off
+_LEAST_KG, _LEAST_KGM2 = 1e-3, 1e-6  # a moving body needs mass, even after its hand is removed
 _MESHES = (int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_SDF))
 _SOLID = range(int(mujoco.mjtGeom.mjGEOM_SPHERE), _MESHES[0])
 _FLAT_M = 1e-5
@@ -34,30 +34,30 @@ _FLAT_M = 1e-5
 
 @dataclass(frozen=True)
 class ArmFile:
-    """An arm of an MJCF file, or a URDF file.
+    """An arm from an MJCF or URDF file.
 
     Parameters
     ----------
     path
-        Of the file.
+        Path of the file.
     base
-        Name of the body that stands where the robot's base is, turned as it is in the file; None for the body of the
-        world that carries the arm.
+        Name of the body to place at the robot's base, with its orientation from the file; None for the world's child
+        that carries the arm.
     flange
-        Name of the site or body where a hand is mounted; None for the one that `halfseen.cell.chain` finds. What hangs
-        on it is left out; so is its own shape where it is a body fixed to the last link.
+        Name of the site or body where a hand is mounted; None for the one that `halfseen.cell.chain` finds. Bodies
+        attached to it are dropped, as is its own shape if it is a body fixed to the last link.
     joints
-        Names of its hinges, from the base on; others stay as they are in the file. None for all up to the flange, or to
-        where the arm forks into fingers.
+        Names of its hinges, from the base on; other joints are fixed as in the file. None for all joints up to the
+        flange, or to where the arm branches into fingers.
     speed_rad_s
-        Largest speed of every joint, or of each [rad/s].
+        Largest speed, one for all joints or one for each [rad/s].
     flange_from_hand
-        How the hand is mounted: its z points out of the arm, y is the closing axis.
+        Pose of the hand in the flange: z points out of the arm, y is the closing axis.
 
     Raises
     ------
     SceneError
-        The file cannot be read, has no such names, or holds no arm that could point a hand; or a speed is not positive.
+        The file cannot be read, lacks a given name, or has no arm that can orient a hand; or a speed is not positive.
     """
 
     path: str | Path
@@ -78,7 +78,7 @@ class ArmFile:
 
     @property
     def name(self) -> str:
-        """The file."""
+        """Path of the file."""
         return str(self.path)
 
     @property
@@ -88,7 +88,7 @@ class ArmFile:
 
     @property
     def digest(self) -> str:
-        """Of the arm as it is built, with its meshes: another arm has another, wherever its file lies."""
+        """Hash of the arm as built, with its meshes; it does not depend on the location of the file."""
         model = self.spec().compile()
         numbers = np.empty(mujoco.mj_sizeModel(model), dtype=np.uint8)
         mujoco.mj_saveModel(model, None, numbers)
@@ -101,14 +101,14 @@ class ArmFile:
 
     @property
     def search_rad(self) -> Float[np.ndarray, "J 2"]:
-        """The limits of each joint, or one turn about their middle where they are farther apart [rad]."""
+        """The limits of each joint; if they span more than one turn, one turn about their middle [rad]."""
         model, joints = self._model, list(self._chain.joints)
         limits = np.where(model.jnt_limited[joints, None], model.jnt_range[joints], (-pi, pi))
         middle, half = limits.mean(axis=1), np.minimum(0.5 * np.diff(limits, axis=1)[:, 0], pi)
         return np.stack([middle - half, middle + half], axis=1)
 
     def spec(self) -> mujoco.MjSpec:
-        """Build the arm alone, as `SerialArm` asks for."""
+        """Build the arm alone, as `SerialArm` requires."""
         spec, model, chain = mujoco.MjSpec(), self._model, self._chain
         spec.compiler.degree = False
         made = {}
@@ -133,7 +133,7 @@ class ArmFile:
 
     @cached_property
     def _carried_kgm2(self) -> Float[np.ndarray, " J"]:
-        """What each joint turns, with the inertia behind its gear: the largest of many angles of the arm."""
+        """Largest inertia that each joint moves over random arm angles, including its armature [kg·m²]."""
         model, joints, data = self._model, list(self._chain.joints), mujoco.MjData(self._model)
         dofs, inertia, largest = model.jnt_dofadr[joints], np.zeros((model.nv, model.nv)), np.zeros(len(joints))
         for angles in np.random.default_rng(0).uniform(*self.search_rad.T, size=(_NUM_DRAWN, len(joints))):
@@ -185,7 +185,7 @@ def _compiled(path: Path) -> mujoco.MjModel:
         raise SceneError(f"{path}: no such file; give the path of an arm's MJCF file")
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-        # Bodies keep their names, and shapes that are only seen may be all that a link has.
+        # Bodies must keep their names, and a link may have only visual shapes.
         spec.compiler.fusestatic = spec.compiler.discardvisual = False
         return spec.compile()
     except ValueError as error:
@@ -196,14 +196,14 @@ def _compiled(path: Path) -> mujoco.MjModel:
 
 
 def _standing(model: mujoco.MjModel, body: int) -> Float[np.ndarray, " 4"]:
-    """How a body is turned in the file's world: a unit quaternion."""
+    """Orientation of a body in the file's world, as a unit quaternion."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     return data.xquat[body]
 
 
 def _shapes(model: mujoco.MjModel, body: int) -> list[int]:
-    """Shapes of a body that touch others, or all if none does; none of the world, which is no part of an arm."""
+    """Collision shapes of a body, or all its solid shapes if it has none; nothing for the world body."""
     begin = model.body_geomadr[body]
     solid = [geom for geom in range(begin, begin + model.body_geomnum[body]) if _is_solid(model, geom)]
     touching = [geom for geom in solid if model.geom_contype[geom] or model.geom_conaffinity[geom]]
@@ -211,7 +211,7 @@ def _shapes(model: mujoco.MjModel, body: int) -> list[int]:
 
 
 def _is_solid(model: mujoco.MjModel, geom: int) -> bool:
-    """Whether it can be touched: not a mesh as flat as a label, which has no hull."""
+    """Whether a shape can collide; a flat mesh, such as a label, has no convex hull."""
     if model.geom_type[geom] not in _MESHES:
         return model.geom_type[geom] in _SOLID
     # A compiled mesh lies along its principal axes.
@@ -223,7 +223,7 @@ def _vertices_m(model: mujoco.MjModel, mesh: int) -> Float[np.ndarray, "vertices
 
 
 def _add_mesh(spec: mujoco.MjSpec, model: mujoco.MjModel, geom: int) -> str:
-    """Add a shape's mesh, once; its name."""
+    """Add a shape's mesh once and return its name."""
     number = int(model.geom_dataid[geom])
     name = f"mesh_{number}"
     if spec.mesh(name) is None:

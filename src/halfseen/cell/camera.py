@@ -1,8 +1,8 @@
-"""The depth camera over the running cell: what it returns, less the robots, whose place is known, and what they cut.
+"""The depth camera over the running cell: its cloud, without the robots, whose pose is known, and the objects they cut.
 
-What never moves is seen once; robots are added by the rays that may meet them or their shadow, cups facet by facet. An
-object of which an arm, or what it holds, hides a part would be completed to a wrong shape, and a stain behind it would
-count as looked for: it is left out of a look, and kept as it was.
+Static geometry is rendered once. Robots are added by the rays that may hit them or their shadow, cups facet by facet.
+If an arm or its held object hides part of an object, shape completion would be wrong and a stain behind it would count
+as searched for. Such an object is left out of the look, and the memory keeps its earlier state.
 """
 
 from collections.abc import Sequence
@@ -29,10 +29,10 @@ from halfseen.shapes import Bool, Float, Int
 
 @dataclass(frozen=True)
 class Look:
-    """What the camera returns, and apart from it what was there.
+    """The camera's cloud and the ground truth behind it.
 
-    `labels` are the truth, for scoring alone: the cup of each pixel, or −1. `robots_m` are distances of robots along
-    the optical axis, whose place is known [m]; infinite where there is none.
+    `labels` holds the true cup of each pixel, or −1; it is for scoring only. `robots_m` is the depth of the robots
+    along the optical axis, whose pose is known [m]; infinite where there is none.
     """
 
     cloud: Cloud
@@ -48,16 +48,16 @@ class CellCamera:
     cell
         The running cell.
     camera
-        Where it is seen from.
+        Pose and intrinsics of the camera.
     surfaces
-        What is on the walls of each cup, for clouds with colour; None for clouds without.
+        Stains on the walls of each cup, for clouds with colour; None for clouds without.
     """
 
     def __init__(self, cell: LiveCell, camera: Camera, surfaces: Sequence[Surface] | None = None) -> None:
         self.cell, self.camera, self.surfaces = cell, camera, surfaces
 
     def look(self, rng: np.random.Generator) -> Look:
-        """Look at the cell as it is now; `rng` makes the sensor's noise."""
+        """Look at the current cell; `rng` draws the sensor's noise."""
         view = self.view()
         is_robot = view.body > self.cell.num_cups
         depth_m = sense(view, self.camera.focal_px[0], rng, XTION)
@@ -72,14 +72,14 @@ class CellCamera:
         return colours(view, self.camera, self.surfaces, poses, rng)
 
     def view(self) -> IdealView:
-        """See the cell as it is now, without noise."""
+        """Render the current cell without noise."""
         sight = Sight(self.cell.model, self.cell.data, self.camera, XTION.baseline_m)
         no_cups = with_rays(self._empty, sight, (FURNITURE_GROUP,), (ROBOT_GROUP,))
         return with_facets(no_cups, sight, (FURNITURE_GROUP, ROBOT_GROUP), self._cups, CUP_GROUP)
 
     @cached_property
     def _empty(self) -> IdealView:
-        """The view of what never moves."""
+        """The view of the static geometry."""
         cell = self.cell
         return ideal_view(cell.model, self.camera, XTION.baseline_m, cell.data, (FURNITURE_GROUP,))
 
@@ -89,25 +89,25 @@ class CellCamera:
 
 
 _BESIDE_PX = 3
-_BEHIND_M = 0.03  # an arm hides what is farther than this before it [m]: what it touches counts as cut
+_BEHIND_M = 0.03  # an arm also cuts surfaces up to this far in front of it, such as those it touches [m]
 
 
 def perceived_whole(cloud: Cloud, arms_m: Image, is_held: Bool[np.ndarray, " n"]) -> tuple[View, Cloud]:
-    """Perceive what no arm cuts, nor what it holds.
+    """Perceive the objects that no arm or held object partly hides.
 
     Parameters
     ----------
     arms_m
-        Distance of robots along the optical axis [m]; infinite where there is none.
+        Depth of the robots along the optical axis [m]; infinite where there is none.
     is_held
-        Which points of the cloud belong to what hands hold: it is no object on the table, and hides as arms do.
+        Mask of the cloud points of held objects. They are not on the table, and they occlude like arms.
 
     Returns
     -------
     View
-        What is seen whole.
+        The objects that are not cut.
     Cloud
-        The cloud without the objects that are not, and without what is held.
+        The cloud without cut or held objects.
     """
     held_m = np.where(is_held, cloud.points_m[:, 2], np.inf).reshape(arms_m.shape)
     cloud = without(cloud, is_held)
@@ -127,7 +127,7 @@ def perceived_whole(cloud: Cloud, arms_m: Image, is_held: Bool[np.ndarray, " n"]
 
 
 def without(cloud: Cloud, is_out: Bool[np.ndarray, " n"]) -> Cloud:
-    """Take points out of a cloud, as if nothing had returned there."""
+    """Remove points from a cloud, as if nothing had returned there."""
     if not is_out.any():
         return cloud
     return replace(cloud, points_m=np.where(is_out[:, None], np.nan, cloud.points_m))
@@ -135,7 +135,7 @@ def without(cloud: Cloud, is_out: Bool[np.ndarray, " n"]) -> Cloud:
 
 @dataclass(frozen=True)
 class Errors:
-    """How far the robot's idea of where its camera is may err.
+    """Errors of the camera pose that the robot assumes.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ class Errors:
     angle_rad: float = float(np.deg2rad(0.5))
 
     def draw(self, rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
-        """Draw an error: a small motion of the world about the middle of the table."""
+        """Draw a pose error: a small rigid motion of the world about the middle of the table."""
         error, pivot_m = np.eye(4), np.array([0.0, 0.0, TABLE_TOP_M])
         error[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, self.angle_rad, 3)).as_matrix()
         error[:3, 3] = pivot_m - error[:3, :3] @ pivot_m + rng.normal(0.0, self.position_m, 3)

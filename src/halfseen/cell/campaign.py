@@ -1,10 +1,10 @@
-"""Many fresh tables, cleared by one policy in as many processes as there are cores, and their log.
+"""Campaigns: many random tables, cleared by one policy in parallel processes, and their log.
 
-A calibration is a campaign that lifts what stands there, at random, until so many attempts were begun.
+A calibration is a campaign that lifts random objects until a given number of attempts have begun.
 
-Each table is recorded into a folder of its own while it runs. What a kill leaves behind can be read there, and the next
-campaign into the same folder goes on with the tables that are missing: table k is drawn from the seed and k alone, so
-that the log is the same, to the last bit, in any number of processes.
+Each table is recorded into its own folder while it runs. After a kill, the recorded part can be read there, and the
+next campaign into the same folder continues with the missing tables. Table k depends only on the seed and k, so the log
+is bitwise identical for any number of processes.
 """
 
 import json
@@ -45,20 +45,20 @@ from halfseen.world.random import Key
 from halfseen.world.state import TableState
 from halfseen.writing import placed, refuse_unwritable, write_file
 
-RUN_FILE = "run.json"  # beside the recording of a table once it is over: what came of it
-WHAT_FILE = "what.txt"  # in the folder of a campaign: what runs there
+RUN_FILE = "run.json"  # result of a finished table, next to its recording
+WHAT_FILE = "what.txt"  # description of a campaign, in its folder
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What the tables of a campaign, and the cell that clears them, are like.
+    """Conditions of a campaign: its tables and the cell that clears them.
 
     Parameters
     ----------
     dirty_share
         Probability that a cup is dirty.
     frictions
-        Of a cup on pads, drawn evenly in its logarithm: smallest and largest [-].
+        Smallest and largest friction of a cup on the pads, drawn log-uniformly [-].
     stations, grasping, errors, stops
         As for `Workcell`.
     """
@@ -76,7 +76,7 @@ class Conditions:
         Parameters
         ----------
         seed, index
-            Of the campaign, and of the table in it; nothing else decides.
+            Seed of the campaign and index of the table; the draw depends on nothing else.
         """
         rng = np.random.default_rng([seed, index])
         table = random_table(int(rng.integers(2**31)))
@@ -99,18 +99,18 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Campaign:
-    """A policy at work on many tables.
+    """A policy run on many tables.
 
     Parameters
     ----------
     policy, belief, tells_truth
         As for `play`.
     conditions
-        What the tables are like.
+        Conditions of the tables.
     seed
-        Of everything that is drawn.
+        Seed of all draws.
     follow
-        Who follows each table, in this process; None for nobody.
+        Makes the observer of each table, in this process; None for no observer.
     """
 
     policy: Policy
@@ -121,16 +121,16 @@ class Campaign:
     follow: Follow | None = None
 
     def runs(self, tables: Sequence[int], folder: Path, pool: Pool) -> Iterator[tuple[int, Run]]:
-        """Clear tables, record each below a folder, and tell what came of each as soon as it is over.
+        """Clear tables, record each below a folder, and yield each result as soon as it is available.
 
         Parameters
         ----------
         tables
-            Their numbers.
+            Numbers of the tables.
         folder
-            Where to; tables that are over there already are not run again.
+            Output folder; tables already finished there are not run again.
         pool
-            Who clears them.
+            Worker pool.
 
         Yields
         ------
@@ -151,21 +151,21 @@ class Campaign:
             yield index, _run_of(place)
 
     def recorded(self, index: int) -> dict[str, bytes]:
-        """Clear one table on a machine that has other folders, and give what was recorded, by the name of the file."""
+        """Clear one table on a machine without access to the folder; return the recorded files by name."""
         with TemporaryDirectory() as name:
             self.run(index, Path(name))
             place = Path(name) / table_name(index)
             return {path.name: path.read_bytes() for path in sorted(place.iterdir())}
 
     def run(self, index: int, folder: Path) -> Run:
-        """Clear one table, or read what came of it.
+        """Clear one table, or read its result if it is finished.
 
         Parameters
         ----------
         index
-            Its number.
+            Number of the table.
         folder
-            Where it is recorded.
+            Folder of the recordings.
         """
         place = folder / table_name(index)
         if _is_over(place):
@@ -194,25 +194,25 @@ class Campaign:
 
 @contextmanager
 def working_folder(target: Path, what: str, refuse: Callable[[], None] = lambda: None) -> Iterator[Path]:
-    """Give the folder in which tables are recorded while a campaign runs; it goes when all went well.
+    """Context manager of the folder for recordings of a running campaign; it is removed on success.
 
     Parameters
     ----------
     what
-        What runs there, with all that its tables depend on: only the same goes on with what is there.
+        Description of the campaign with everything that its tables depend on; only an identical campaign may resume.
     refuse
-        Called once no other campaign can run there; raises where the result may not be written: one that began at the
-        same time may be done by now.
+        Called once the folder is locked. It raises if the result may not be written, for example because a campaign
+        that started at the same time has finished.
 
     Raises
     ------
     ArgumentError
-        Another campaign runs there or was stopped there, or it cannot be written.
+        A different campaign was stopped there, one is running there, or the folder cannot be written.
     """
     place = target.absolute()
     folder = place.with_name(f"{place.name}.running")
     refuse_unwritable(folder)
-    # A recorder holds its folder for as long as its process lives: no second campaign gets in.
+    # A recorder locks its folder while its process lives, so no second campaign can run there.
     with LogRecorder(folder / "campaign"):
         described = folder / WHAT_FILE
         if not described.exists():
@@ -233,17 +233,17 @@ def working_folder(target: Path, what: str, refuse: Callable[[], None] = lambda:
 
 
 def _aside(folder: Path) -> Path:
-    """Give a folder another name, while it is ours: anyone who waits for it begins a new one, which is not removed."""
+    """Rename a folder while it is locked, so that a waiting process makes a new folder, which is not removed."""
     return folder.rename(folder.with_name(f"{folder.name}.{os.getpid()}-{get_ident()}"))
 
 
 def logs_of(folder: Path, tables: Sequence[int]) -> Logs:
-    """Read what was recorded of tables, as one log; those that were cut before anything was decided are in none.
+    """Read the recordings of tables as one log; tables cut before any decision are not in it.
 
     Raises
     ------
     LogError
-        Every table was cut before anything was decided.
+        Every table was cut before any decision.
     """
     runs = {folder / table_name(index): _run_of(folder / table_name(index)) for index in tables}
     seen = [place for place, run in runs.items() if run.is_seen]
@@ -277,10 +277,10 @@ def table_name(index: int) -> str:
 
 @record
 class LiftAtRandom:
-    """Lifts each object on the table with the same probability; finishes where none is left."""
+    """Lifts a uniformly random object on the table; finishes if none is left."""
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose for each table."""
+        """Choose an action for each table."""
         actions = ActionSpace(state.num_objects)
         verbs = actions.verb(np.arange(actions.num_actions))
         is_lift = possible_actions(state) & (verbs == Verb.LIFT)
@@ -295,25 +295,25 @@ def attempts_of(
     conditions: Conditions = Conditions(),
     on_table: Callable[[int], None] = lambda _: None,
 ) -> Logs:
-    """Let a cell try, and give its log.
+    """Run tables with random lifts and return their log.
 
     Parameters
     ----------
     num_attempts
-        Tables follow one another until so many attempts were begun.
+        Tables are run until this many attempts have begun.
     folder
-        Where tables are recorded while they run; a campaign that was killed goes on there.
+        Folder for recordings of running tables; a killed campaign resumes there.
     """
     belief = Belief(WorldConfig(horizon=HORIZON), no_grip)
     campaign = Campaign(LiftAtRandom(), belief, conditions, seed, tells_truth=True)
     begun: list[int] = []
     while sum(begun) < num_attempts:
-        # Most tables that are likely to be needed, as workers wait at the end of a batch: nothing records any more when
-        # this returns.
+        # A batch has most of the tables that are likely to be needed, as workers wait at its end: nothing may still be
+        # recording when this returns.
         likely = int(0.8 * (num_attempts - sum(begun)) * len(begun) / max(sum(begun), 1))
         batch = range(len(begun), len(begun) + max(4 * pool.num_workers, likely))
         for _, run in campaign.runs(batch, folder, pool):
             begun.append(sum(run.verbs.values()))
             on_table(begun[-1])
-    # As many tables as it takes, however many there were in a batch.
+    # Keep only as many tables as are needed, whatever the batch size.
     return logs_of(folder, range(1 + int(np.searchsorted(np.cumsum(begun), num_attempts))))

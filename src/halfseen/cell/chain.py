@@ -1,8 +1,8 @@
-"""Which part of a robot's model is its arm: from a body that stands still, over hinges, to where a hand is mounted.
+"""The kinematic chain of the arm in a robot model: from a fixed body, along hinges, to the flange.
 
-What the user does not name is found: the base is the body of the world that carries the arm; the arm is followed from
-there until it ends or forks into fingers; the flange is a site on the last link, or else a body fixed to it, whose name
-has one of `FLANGE_WORDS`, or else the last link's own frame.
+Parts that the user does not name are found. The base is the world's child that carries the arm. The arm extends from
+there until it ends or branches into fingers. The flange is a site on the last link, or else a body fixed to it, whose
+name contains one of `FLANGE_WORDS`; otherwise it is the last link's own frame.
 """
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
@@ -19,7 +19,7 @@ from halfseen.errors import SceneError
 from halfseen.scene.poses import Pose
 
 FLANGE_WORDS = frozenset({"attachment", "flange", "tool", "tool0", "ee", "eef", "hand", "gripper", "wristsite"})
-"""Words, apart by any sign that is no letter or digit, that tell where a hand is mounted."""
+"""Words in names that mark the flange, separated by characters other than letters and digits."""
 
 _WORLD = 0
 _BODY, _JOINT, _SITE = mujoco.mjtObj.mjOBJ_BODY, mujoco.mjtObj.mjOBJ_JOINT, mujoco.mjtObj.mjOBJ_SITE
@@ -29,7 +29,7 @@ _MOST_NAMES = 30
 
 @dataclass(frozen=True)
 class Flange:
-    """Where a hand is mounted: a pose in a body, and whether that is where a hand begins, and no part of the arm."""
+    """Mount of the hand: a pose in a body, and whether that body begins the hand and is not part of the arm."""
 
     body: int
     pose: Pose
@@ -38,7 +38,7 @@ class Flange:
 
 @dataclass(frozen=True)
 class Chain:
-    """The arm of a model: bodies, the first of which stands still and carries the next, and joints in their order."""
+    """The arm of a model: bodies from the fixed base on, joints in order, and the flange."""
 
     bodies: tuple[int, ...]
     joints: tuple[int, ...]
@@ -53,15 +53,15 @@ def find_chain(
     Parameters
     ----------
     model
-        Of a robot, and perhaps of what stands about it.
+        Model of a robot, possibly with its surroundings.
     base, flange, joints
-        Name of the body that stands still; of the site or body where a hand is mounted; and of the hinges, from the
-        base on. None for what is to be found.
+        Names of the fixed body, of the site or body where a hand is mounted, and of the hinges from the base on. None
+        to find them.
 
     Raises
     ------
     SceneError
-        There is no such name, the joints are no hinges in a row between base and flange, or they are too few.
+        A name does not exist, the joints are not consecutive hinges between base and flange, or there are too few.
     """
     named = None if joints is None else tuple(_number(model, name, _JOINT, joint) for joint in joints)
     mounted = None if flange is None else _named_flange(model, name, flange)
@@ -127,7 +127,7 @@ def _at_site(model: mujoco.MjModel, site: int) -> Flange:
 
 
 def _trunk(model: mujoco.MjModel, begin: int) -> list[int]:
-    """Bodies from one on, as long as one way only leads to more joints; of several robots in a world, the longest."""
+    """Bodies from `begin` on, up to a branch or the last joint; of several robots in a world, the longest chain."""
     moves = [bool(_own_joints(model, body)) for body in range(model.nbody)]
     for body in range(model.nbody - 1, _WORLD, -1):
         moves[model.body_parentid[body]] |= moves[body]
@@ -139,19 +139,19 @@ def _trunk(model: mujoco.MjModel, begin: int) -> list[int]:
 
 
 def _own_joints(model: mujoco.MjModel, body: int) -> list[int]:
-    """Joints of a body, less one by which it floats."""
+    """Joints of a body, without a free joint."""
     begin, number = model.body_jntadr[body], model.body_jntnum[body]
     return [joint for joint in range(begin, begin + number) if model.jnt_type[joint] != _FREE]
 
 
 def _standing(model: mujoco.MjModel, tip: int) -> int:
-    """The body of the world that carries another; the world itself where that one turns on a joint."""
+    """The world's child that carries a body; the world itself if that child has joints."""
     root = int(model.body_rootid[tip])
     return _WORLD if _own_joints(model, root) else root
 
 
 def _path(model: mujoco.MjModel, begin: int, end: int) -> list[int]:
-    """Bodies from below one to another; to the world's if the first does not carry the other."""
+    """Bodies from after `begin` to `end`; from the world on if `begin` does not carry `end`."""
     path, body = [], end
     while body not in (begin, _WORLD):
         path.append(body)
@@ -172,7 +172,7 @@ def _joints_between(model: mujoco.MjModel, name: str, begin: int, end: int) -> t
 
 
 def _require_row(model: mujoco.MjModel, name: str, joints: Sequence[int], path: Sequence[int]) -> None:
-    """Refuse joints that are no hinges, or not in a row on the way from base to flange."""
+    """Refuse joints that are not hinges, or not in order between base and flange."""
     between = [joint for body in path for joint in _own_joints(model, body) if model.jnt_type[joint] == _HINGE]
     listed = _listed(model.joint(joint).name for joint in between)
     for joint in joints:
@@ -185,7 +185,7 @@ def _require_row(model: mujoco.MjModel, name: str, joints: Sequence[int], path: 
 
 
 def _carried(model: mujoco.MjModel, base: int, path: Sequence[int]) -> tuple[int, ...]:
-    """The path and what is fixed to it, without joints of its own, before the flange."""
+    """The bodies of the path, and jointless bodies fixed to it before the flange."""
     bodies = [base]
     for body in range(base + 1, model.nbody):
         parent = int(model.body_parentid[body])

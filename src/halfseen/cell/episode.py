@@ -1,6 +1,6 @@
-"""One table from the first look to its end, by K arms: look, decide, record, carry out, and book.
+"""One table from the first look to the end, with K arms: look, decide, record, execute, and account for rewards.
 
-Each arm decides when it is free, while the others go on; with K = 1 there is nobody to wait for.
+Each arm decides when it is free, while the others continue. With K = 1 no arm ever waits.
 """
 
 from collections.abc import Callable
@@ -25,15 +25,15 @@ from halfseen.world.policy import Decision, Policy
 from halfseen.world.random import Key
 from halfseen.world.state import TableState
 
-PAUSE_S = 0.5  # what a look and a decision take on the cell's clock [s]
-NOTHING_SEEN = "nothing-seen"  # cause of a cut: no object is in view, so that there is nothing to decide
+PAUSE_S = 0.5  # duration of a look and a decision on the cell's clock [s]
+NOTHING_SEEN = "nothing-seen"  # cause of a cut: no object is in view, so there is nothing to decide
 
 
 class Moment(NamedTuple):
-    """A decision, and what it was made from.
+    """A decision and the state in which it was made.
 
-    `stage` is counted from 1, `action` as `ActionSpace` has it (one beyond is WAIT), in `words` for people; `arm`
-    is the number of the robot that does it. `of_team` says which robot does what, where there are several.
+    `stage` counts from 1. `action` is an index of `ActionSpace` (one past its end is WAIT), and `words` describes it.
+    `arm` is the number of the robot that acts. With several robots, `of_team` states the robot and its action.
     """
 
     stage: int
@@ -46,19 +46,19 @@ class Moment(NamedTuple):
 
 
 class Follower(Protocol):
-    """Anyone who follows a table."""
+    """An observer of a table."""
 
     def decided(self, moment: Moment) -> None:
-        """Take in a decision, before it is carried out."""
+        """Receive a decision before it is executed."""
         ...
 
     def ended(self, run: Run) -> None:
-        """Take in what came of it."""
+        """Receive the result of the table."""
         ...
 
 
 Follow = Callable[[int, Workcell], Follower]
-"""Given the number of a table and its cell, before anything happens, who follows it."""
+"""Makes the observer of a table from its number and its cell, before the episode starts."""
 
 
 def play(
@@ -72,33 +72,33 @@ def play(
     tells_truth: bool = False,
     on_decision: Callable[[Moment], None] = lambda _: None,
 ) -> Run:
-    """Let a policy clear a table with all arms of a cell, and record it.
+    """Clear a table with a policy and all arms of a cell, and record the trajectory.
 
-    The camera looks before every decision, and leaves out what an arm cuts.
+    The camera looks before every decision and excludes objects that an arm partly hides.
 
     Parameters
     ----------
     cell
         The cell, before its first look.
     is_dirty
-        The truth of each cup.
+        Ground truth of each cup.
     policy
-        What decides: of several arms, for the one that is free.
+        Makes each decision, for the arm that is free.
     belief
-        What the robot believes of the world; its rewards are those that are earned, its horizon that of each arm.
+        The robot's model of the world. Its rewards are the ones paid; its horizon applies to each arm.
     trajectory
-        What is recorded; it is ended, finished or cut.
+        Recorder of the trajectory; it is ended here, as finished or cut.
     key
-        What the policy draws from.
+        Random key of the policy.
     tells_truth
-        Record which objects are dirty, as anyone who calibrates a cell knows.
+        Whether to record which objects are dirty, as calibration needs.
     on_decision
-        Called with each decision, before it is carried out.
+        Called with each decision before it is executed.
 
     Returns
     -------
     Run
-        What came of it; a `TeamRun` of several arms.
+        Result of the table; a `TeamRun` for several arms.
     """
     begin_s, episode = cell.cell.time_s, _Episode(cell, is_dirty, belief, trajectory)
     statistics = episode.statistics
@@ -123,7 +123,7 @@ def play(
 
 
 class _Episode:
-    """The arms at a table: each decides when it is free."""
+    """The arms at a table; each decides when it is free."""
 
     def __init__(
         self, cell: Workcell, is_dirty: Bool[np.ndarray, " N"], belief: Belief, trajectory: TrajectoryRecorder
@@ -144,8 +144,8 @@ class _Episode:
         return next(number for number, arm in enumerate(self.state.arms) if arm.is_free)
 
     def look(self, step: int) -> tuple[TableState, list[dict[str, Any]]]:
-        """Look at the table before a decision: the state that is decided in, and its objects as a log has them."""
-        # Later looks of several take their time at the end of what came before: the other arms go on meanwhile.
+        """Look at the table before a decision; return the state and the objects' log rows."""
+        # With several arms, later looks take their time at the end of the previous activity, while other arms move.
         if step == 0 or not self.is_team:
             self.cell.cell.wait(PAUSE_S)
         self.cell.look()
@@ -157,7 +157,7 @@ class _Episode:
         return self.state.state(self.decider, self.num_decisions - step), rows
 
     def begin(self, decision: Decision, step: int, state: TableState, rows: list[dict[str, Any]], key: Key) -> Moment:
-        """Record a decision and let its arm begin what was decided, before any time passes."""
+        """Record a decision and start its arm on it, before any time passes."""
         number, actions = self.decider, ActionSpace(state.num_objects)
         action, probability = int(decision.action), float(decision.probability)
         verb, target = int(actions.verb(action)), int(actions.target(action))
@@ -166,7 +166,7 @@ class _Episode:
             rows,
             VERB_NAMES[verb],
             target if verb in TARGETED else None,
-            None if np.isnan(probability) else probability,  # a planner cannot say it
+            None if np.isnan(probability) else probability,  # planners give no probability
             number if self.is_team else None,
         )
         arm = self.state.arms[number]
@@ -181,7 +181,7 @@ class _Episode:
         return Moment(step + 1, state, action, self._in_words(arm, verb, rows), key, number, of_team)
 
     def _in_words(self, arm: ArmStatus, verb: int, rows: list[dict[str, Any]]) -> str:
-        """What was decided, for people; of several arms what all are doing."""
+        """Description of the decision; with several arms, of what all are doing."""
         if self.is_team:
             return self.state.in_words()
         if verb == Verb.FINISH:
@@ -190,7 +190,7 @@ class _Episode:
         return f"{VERB_NAMES[verb]} object {arm.target}: dirty with probability {arm.chance:.2f}, {hidden:.0%} hidden"
 
     def _activity(self, number: int, verb: int, target: int) -> Activity[tuple[Attempt, float] | None]:
-        """Carry out a verb; the attempt, and what it took [s]."""
+        """Execute a verb; return the attempt and its duration [s]."""
         if verb == Verb.FINISH:
             yield Rest(float(self._config.transport_s))
             return None
@@ -202,20 +202,20 @@ class _Episode:
         return attempt, seconds
 
     def go_on(self) -> bool:
-        """Let time pass until an arm decides again; whether the table is over instead."""
-        # Where another arm is free, too, no time passes: a log takes an arm to be at its object until it decides again.
+        """Run until an arm is free to decide; return whether the table is over instead."""
+        # If another arm is free too, no time passes: a log places an arm at its object until it decides again.
         while not self.statistics.truth.is_cleared(self.cell):
             if any(arm.is_free for arm in self.state.arms):
                 return False
             if not self._work():
                 return True
-        # It is over when the last arm is home.
+        # The table is over when the last arm is home.
         while self._work():
             pass
         return True
 
     def _work(self) -> bool:
-        """Let time pass until an arm has ended what it did; whether one has."""
+        """Run until an arm has ended its activity; return whether one has."""
         ended = self._executor.work()
         for each in ended:
             self._end(each)
@@ -240,7 +240,7 @@ class _Episode:
                 self.statistics.leave(number)
 
     def run(self, seconds: float) -> Run:
-        """What came of it."""
+        """Result of the table."""
         run = replace(self.statistics.run, seconds=seconds, **self.statistics.truth.counts(self.cell))
         if not isinstance(run, TeamRun):
             return run

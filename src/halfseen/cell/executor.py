@@ -1,9 +1,9 @@
-"""K arms that move together in one clock: each asks for the space of a way before it goes, and waits where it is taken.
+"""Execution of K arms on one clock: each reserves the space of its path before it moves, and waits if it is taken.
 
-Where arms wait for one another in a ring, where all that are busy wait (for one another, or for an idle one that does
-not go), or where one waits for too long, the one that came last and has a free way home gives way: what it
-then reserves is that way, and the others go on. One that is at home already gives up what it wanted. If neither helps,
-and nobody moves who could change that, the cell is stopped. With K = 1 there is nobody to wait for.
+A deadlock is a cycle of waiting arms, or all busy arms waiting (for one another, or for an idle arm that stays). An arm
+that waits too long also counts as stuck. Of the stuck arms, the one that reserved last and has a free way home gives
+way: it reserves that way, and the others continue. A stuck arm that is already home drops its request. If neither
+helps and no moving arm could resolve the deadlock, the cell is stopped. With K = 1 no arm ever waits.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,13 +16,13 @@ from halfseen.cell.model import Robot
 from halfseen.cell.space import Reservations, Space
 
 DEADLOCK = "deadlock"
-"""Cause of a cut: arms wait for one another, or for one that is idle, and none has a free way home."""
+"""Cause of a cut: arms wait for one another, or for an idle one, and none has a free way home."""
 PATIENCE_S = 15.0
-_ASK_EVERY = 10  # ticks between two looks whether a space is free by now
+_ASK_EVERY = 10  # ticks between two checks whether a space is free
 
 
 class Ended(NamedTuple):
-    """The number of an arm, and what its activity returned."""
+    """The number of an arm and the result of its activity."""
 
     arm: int
     result: Any
@@ -30,10 +30,10 @@ class Ended(NamedTuple):
 
 @dataclass
 class Tally:
-    """How arms got along.
+    """Counts of conflicts between arms.
 
-    How often one had to wait for space, and all together for how long [s]; how often they waited for one another, for
-    an idle one, or one for too long, and how often one went home for that.
+    How often an arm waited for space, the total waiting time [s], the number of deadlocks (including arms that waited
+    too long), and how often an arm went home to resolve one.
     """
 
     num_waits: int = 0
@@ -44,7 +44,7 @@ class Tally:
 
 @dataclass(eq=False)
 class _Request:
-    """A reservation that is not decided yet."""
+    """A pending reservation."""
 
     command: Reserve
     space: Space
@@ -55,7 +55,7 @@ class _Request:
 
 @dataclass(eq=False)
 class _Worker:
-    """What one arm is doing."""
+    """Progress of one arm's activity."""
 
     activity: Activity[Any] | None = None
     way: Iterator[Angles] = field(default_factory=lambda: iter(()))
@@ -71,9 +71,9 @@ class _Worker:
 
 
 class Executor:
-    """Carries out the activities of the arms of a cell, number 0 first; `tally` says how they got along so far.
+    """Executes the activities of the arms of a cell, number 0 first; `tally` counts their conflicts.
 
-    An arm that waits for space longer than `patience_s` counts as stuck [s].
+    An arm that waits for space longer than `patience_s` [s] counts as stuck.
     """
 
     def __init__(self, cell: LiveCell, robots: Sequence[Robot], patience_s: float = PATIENCE_S) -> None:
@@ -84,7 +84,7 @@ class Executor:
         self.tally = Tally()
 
     def begin(self, arm: int, activity: Activity[Any]) -> None:
-        """Let an idle arm begin an activity."""
+        """Start an activity of an idle arm."""
         assert not self.is_busy(arm), "an arm does one thing at a time"
         self._workers[arm] = _Worker(activity)
 
@@ -93,30 +93,29 @@ class Executor:
         return self._workers[arm].activity is not None
 
     def work(self, most_ticks: int | None = None) -> list[Ended]:
-        """Let time pass until an arm has ended its activity.
+        """Run until an arm has ended its activity.
 
         Parameters
         ----------
         most_ticks
-            After which several arms stop all the same; None for never.
+            Number of ticks after which several arms return in any case; None for no limit.
 
         Returns
         -------
         list of Ended
-            Who has, the lowest number first; none where no arm is busy.
+            Arms that have ended, lowest number first; empty if no arm is busy.
 
         Raises
         ------
         StoppedError
-            Arms wait for one another, or for one that is idle, and none has a free way home; or a watch stopped the
-            cell.
+            Arms wait for one another, or for an idle one, and none has a free way home; or a watch stopped the cell.
         """
         if len(self._robots) == 1 and (activity := self._workers[0].activity) is not None:
             self._workers[0] = _Worker()
             return [Ended(0, self._cell.carry_out(self._robots[0], activity))]
         num_ticks = 0
         while any(worker.activity is not None for worker in self._workers) and num_ticks != most_ticks:
-            # An arm that was steered before the end of another broke a tick off is not steered twice in it.
+            # If another arm's end interrupted this tick, arms already steered in it are not steered again.
             ticked = {arm: self._tick(arm) for arm in range(len(self._workers)) if arm not in self._steered}
             self._steered |= {arm for arm, ended in ticked.items() if ended is None}
             if ended := [each for each in ticked.values() if each is not None]:
@@ -129,7 +128,7 @@ class Executor:
         return []
 
     def _tick(self, arm: int) -> Ended | None:
-        """Steer an arm's servos for the next tick; its result if its activity has ended."""
+        """Command an arm's servos for the next tick; return its result if its activity has ended."""
         worker, robot = self._workers[arm], self._robots[arm]
         while worker.activity is not None:
             if (angles := next(worker.way, None)) is not None:
@@ -170,7 +169,7 @@ class Executor:
                 worker.request = _Request(command, space, cell.time_s)
 
     def _is_decided(self, arm: int, worker: _Worker, request: _Request) -> bool:
-        """Whether a request is granted or refused by now; it is looked at every few ticks."""
+        """Whether a request is now granted or refused; it is checked every few ticks."""
         request.num_asked += 1
         if (request.num_asked - 1) % _ASK_EVERY:
             return False
@@ -190,7 +189,7 @@ class Executor:
         worker.request, worker.answer, worker.reserved_s = None, answer, self._cell.time_s
 
     def _resolve_deadlocks(self) -> None:
-        """Notice a deadlock, and let one arm give way."""
+        """Detect a deadlock and let one arm give way."""
         blocked = self._blocked()
         does_nobody_move = len(blocked) == sum(worker.activity is not None for worker in self._workers)
         for_good = (
@@ -206,7 +205,7 @@ class Executor:
             raise StoppedError(DEADLOCK)
 
     def _blocked(self) -> dict[int, _Request]:
-        """Requests for space that other arms have now, by arm: some may have left it since it was asked for."""
+        """Requests that other arms still block, by arm; blockers may have left since the last check."""
         blocked = {}
         for arm, worker in enumerate(self._workers):
             if worker.request is not None and worker.request.blocked_by:
@@ -216,7 +215,7 @@ class Executor:
         return blocked
 
     def _send_one_home(self, stuck: dict[int, _Request]) -> bool:
-        """Send home the arm that came last, of those whose way home is free; whether there is one."""
+        """Send home the arm that reserved last among those with a free way home; return whether there is one."""
         for arm in sorted(stuck, key=lambda arm: -self._workers[arm].reserved_s):
             request = stuck[arm]
             if not len(request.command.back):
@@ -229,7 +228,7 @@ class Executor:
         return False
 
     def _refuse_those_at_home(self, stuck: dict[int, _Request]) -> bool:
-        """Refuse the requests of arms that have nothing to go back from; whether there are any."""
+        """Refuse the requests of stuck arms that are at home; return whether there are any."""
         at_home = {arm: request for arm, request in stuck.items() if not len(request.command.back)}
         for arm, request in at_home.items():
             self.tally.waited_s += self._cell.time_s - request.since_s
@@ -237,7 +236,7 @@ class Executor:
         return bool(at_home)
 
     def _waits_for_itself(self, arm: int) -> bool:
-        """Whether those whom an arm waits for wait, directly or not, for it."""
+        """Whether an arm waits, directly or indirectly, for itself."""
         seen: set[int] = set()
         ahead = list(self._workers[arm].blocked_by)
         while ahead:

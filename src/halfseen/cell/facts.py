@@ -1,6 +1,6 @@
-"""What is seen of an object that may make it hard to grip; and of the tables that ship, kept, as seeing takes long.
+"""Visible properties that may make an object hard to grip; cached for the shipped tables, as perception is slow.
 
-``python -m halfseen.cell.facts`` looks at these tables again. Only looking loads perception.
+``python -m halfseen.cell.facts`` recomputes the cache. Only that loads perception.
 """
 
 import json
@@ -25,9 +25,9 @@ MOST_ROOM_M = 0.10  # room beyond this makes no difference [m]
 
 @dataclass(frozen=True)
 class Facts:
-    """Of an object in one view: whether it lies on its side, and what a hand around or across it must open [m].
+    """Properties of an object in one view: whether it lies on its side, and its width between the fingers [m].
 
-    `room_m` is from its side to what stands next to it, at most `MOST_ROOM_M` [m].
+    `room_m` is the distance from its side to the nearest other object, at most `MOST_ROOM_M` [m].
     """
 
     is_lying: bool
@@ -36,7 +36,7 @@ class Facts:
 
 
 def facts_of(view: "View") -> list[Facts]:
-    """Gather what a view tells of each of its objects."""
+    """Compute the facts of each object in a view."""
     rotation, shift_m = view.camera_from_table[:3, :3], view.camera_from_table[:3, 3]
     is_object = view.labels >= 0
     across_m = ((view.image.points_m[is_object] - shift_m) @ rotation)[:, :2]
@@ -62,29 +62,29 @@ def _width_m(solid: "Vessel | Hull", own_m: Float[np.ndarray, "own 2"]) -> float
 
 @runtime_checkable
 class GripLaw(Protocol):
-    """Tells by their facts how well objects can be gripped."""
+    """Predicts from their facts how well objects can be gripped."""
 
     def gripped(self, scene: Scene, facts: Sequence[Facts]) -> Scene:
-        """The same table, with the grip of each object."""
+        """Return the same table with the grip of each object."""
         ...
 
 
 @dataclass(frozen=True)
 class TableSeen:
-    """One table, as it is seen: what hides what and where each stands, and the fields of `Facts` of each object."""
+    """One table as perceived: occlusions and positions, and the fields of `Facts` of each object."""
 
     plain: Scene
     facts: tuple[Mapping[str, Any], ...]
 
     def scene(self, law: GripLaw | None) -> Scene:
-        """Give what a world needs to know of the table; under a law, grips included."""
+        """Scene of the table for a world; with a law, it includes grips."""
         if law is None:
             return self.plain
         return law.gripped(self.plain, [Facts(**each) for each in self.facts])
 
 
 def tables_seen() -> list[TableSeen]:
-    """Read what is seen of the ten tables, in their order."""
+    """Read the cached views of the ten tables, in order."""
     tables = json.loads(_path().read_text(encoding="utf-8"))
     return [
         TableSeen(Scene(np.array(one["hides"]), one["name"], places_m=np.array(one["places_m"])), tuple(one["facts"]))
@@ -93,7 +93,7 @@ def tables_seen() -> list[TableSeen]:
 
 
 def look_again() -> list[TableSeen]:
-    """See the ten tables again."""
+    """Perceive the ten tables again."""
     from halfseen.perception import perceive, read_cloud
     from halfseen.scene import table_paths
 
@@ -112,7 +112,7 @@ def _as_json(seen: TableSeen) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Write what is seen now."""
+    """Write the cache of the ten tables."""
     tables = [_as_json(seen) for seen in look_again()]
     write_file(_path(), "[\n" + ",\n".join(json.dumps(one, default=bool) for one in tables) + "\n]\n")
 

@@ -1,4 +1,4 @@
-"""Activities of an arm: fetch an object, turn it before the camera, put it back or into the rack."""
+"""Activities of an arm: fetch an object, turn it in front of the camera, put it back or into the rack."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,11 +20,11 @@ from halfseen.shapes import Bool, Float
 
 @dataclass(frozen=True)
 class Attempt:
-    """How an attempt went, as the robot tells it.
+    """Outcome of an attempt, as the robot observes it.
 
-    `is_held` says whether the hand held something when it was lifted, and, of what was to be washed, put it into the
-    rack; `duration_s` is the time from the decision until that was known [s]. `kind` is that of the grasp, None where
-    there was none to try; `reason` says why it did not hold, and `is_too_far` that no grasp of it is in reach.
+    `is_held` is whether the hand held an object after the lift and, when washing, put it into the rack. `duration_s` is
+    the time from the decision until the grasp's outcome was known [s]. `kind` is the kind of grasp, None if none was
+    tried. `reason` is the reason for a failure, and `is_too_far` is whether no grasp was within reach.
     """
 
     is_held: bool
@@ -36,88 +36,88 @@ class Attempt:
 
 _COMING, _LIFTING, _PUTTING = 0.6, 0.9, 0.9  # shares of the joints' speeds
 _PRESSED_M = {"rim": -0.020}
-"""By kind of grasp, the opening that is asked for when the hand closes [m]; 0 for others."""
+"""Target opening of the closing hand, by kind of grasp [m]; 0 for other kinds."""
 _LEAST_FELT_M = {"rim": 0.0015}
 _LEAST_FELT_ELSE_M = 0.016
 _SETTLE_S = 0.3
 
 
 def come(plan: Plan) -> Activity[None]:
-    """Come to what a plan is for, with an open hand."""
+    """Move an open hand to the grasp of a plan."""
     yield Grip(plan.grasp.opening_m, seconds=0.0)
     yield Move(plan.hover)
     yield Move(plan.approach, _COMING)
 
 
 def pick_up(plan: Plan) -> Activity[None]:
-    """Close the hand there, and lift what it holds."""
+    """Close the hand and lift the object."""
     yield Grip(_PRESSED_M.get(plan.grasp.kind, 0.0))
     yield Move(plan.lift, _LIFTING)
     yield Rest(_SETTLE_S)
 
 
 def feels(cell: LiveCell, robot: Robot, grasp: Grasp) -> bool:
-    """Whether something keeps the closed hand open, as far as its fingers tell."""
+    """Whether an object keeps the closed hand open, judged by its finger positions."""
     return cell.opening_m(robot) > _LEAST_FELT_M.get(grasp.kind, _LEAST_FELT_ELSE_M)
 
 
 def put_down(plan: Plan) -> Activity[None]:
-    """Put what was lifted back where it was, and let go."""
+    """Put the lifted object back where it was and release it."""
     yield Move(np.concatenate([plan.lift[-2::-1], plan.approach[-1:]]), _PUTTING)
     yield from open_hand(plan)
 
 
 def open_hand(plan: Plan) -> Activity[None]:
-    """Open the hand where it is, as far as it was to fetch something."""
+    """Open the hand in place, to the opening of the plan's grasp."""
     yield Grip(plan.grasp.opening_m, seconds=0.4)
 
 
 def draw_back(cell: LiveCell, robot: Robot, plan: Plan) -> Activity[None]:
-    """Draw an open hand back the way it came, and go home."""
+    """Draw an open hand back along its approach and go home."""
     yield Move(plan.way_out, _PUTTING)
     yield from go_home(cell, robot)
 
 
 def go_home(cell: LiveCell, robot: Robot) -> Activity[None]:
-    """Go where the robot waits."""
+    """Go to the home position."""
     yield Move(home_from(cell, robot, cell.angles_rad(robot))[None])
     yield Rest(_SETTLE_S)
 
 
 def with_home(cell: LiveCell, robot: Robot, way: Way) -> Float[np.ndarray, "homeward J"]:
-    """Add to the end of a way where the robot waits, at the turn that is nearest."""
+    """Append the home angles to a path, at the nearest turn of endless joints."""
     return np.concatenate([way, home_from(cell, robot, way[-1])[None]])
 
 
 def home_from(cell: LiveCell, robot: Robot, here_rad: Angles) -> Angles:
-    """Angles where the robot waits, at the turn that is nearest to some angles."""
+    """Home angles, at the turn of endless joints nearest to the given angles."""
     return cell.kinematics[robot.name].nearest_turn(np.array(robot.home_rad), here_rad)
 
 
 SHOWN_AT_M = (0.0, 0.05, 1.02)
-"""Where the hand holds it, in the world [m]: in the picture, above everything on the table."""
+"""Position of the hand that shows an object, in the world [m]: in the camera's view, above everything on the table."""
 NUM_SIDES = 2
 _MOVING = 1.0  # share of the joints' speeds
 _BESIDE_M, _BARE_M, _SLACK_M = 0.11, 0.08, 0.015
-"""What is held lies so near to the point between the pads, to the sides and up; its shape errs by the last."""
+"""Distances of a held object from the point between the pads, sideways and up; and the error of its shape [m]."""
 
 
 def turned(
     cell: LiveCell, robot: Robot, plan: Plan, rng: np.random.Generator, on_side: Callable[[int], None]
 ) -> Activity[bool]:
-    """Turn what was lifted before the camera, stop at each side, and bring it back to where it was lifted to.
+    """Turn the lifted object in front of the camera, stop at each side, and return it to the top of the lift.
 
     Parameters
     ----------
     cell, robot, plan, rng
         As for `halfseen.cell.fetching.put_away`.
     on_side
-        Called whenever a side is shown, with how many were shown before; those out of reach are left out.
+        Called at each side with the number of sides shown before; sides out of reach are skipped.
 
     Returns
     -------
     bool
-        Whether it did not have to give way to another robot; if so, it has the way back to where the object stood.
+        False if the robot had to give way to another; the way back to where the object stood is then reserved.
     """
     kinematics, num_shown = cell.kinematics[robot.name], 0
     back = with_home(cell, robot, plan.way_back)
@@ -144,9 +144,9 @@ def _facing(
 
 
 def is_in_hand(points_m: Points, hand: Pose, plan: Plan) -> Bool[np.ndarray, " n"]:
-    """Which points of the world, NaN where nothing returned [m], belong to what a hand holds.
+    """Mask of the world points [m] that belong to a held object; points are NaN where nothing returned.
 
-    As it stood on the table, it reaches as far below the hand as that was above the table.
+    The object stood on the table, so it reaches as far below the hand as the hand was above the table.
     """
     apart_m: Float[np.ndarray, "n 3"] = points_m - np.array(hand.position_m)
     below_m = float(plan.grasp.middle_m[2]) + _SLACK_M
@@ -155,34 +155,34 @@ def is_in_hand(points_m: Points, hand: Pose, plan: Plan) -> Bool[np.ndarray, " n
         return is_beside & (apart_m[:, 2] < _BARE_M) & (apart_m[:, 2] > -below_m)
 
 
-_ABOVE_M = 0.16  # over where it is put down, what is held passes over the rim and what stands there already
+_ABOVE_M = 0.16  # height over the slot at which a held object passes over the rim and the cups already there
 _DROP_M = 0.010
 _NUM_TURNS = 8
 _CARRYING, _RACKING = 1.0, 0.7  # shares of the joints' speeds
 
 
 class GaveWayError(PlanError):
-    """A robot that held something had to give way."""
+    """A robot that held an object had to give way."""
 
 
 def put_away(
     cell: LiveCell, robot: Robot, plan: Plan, middle_m: Vector, slot_m: Vector, rng: np.random.Generator
 ) -> Activity[None]:
-    """Put what was lifted into a slot of the rack, and go home.
+    """Put the lifted object into a slot of the rack and go home.
 
     Parameters
     ----------
     middle_m
-        Where its middle was before, in the world [m].
+        Middle of the object before it was lifted, in the world [m].
     slot_m
-        Where to, on the floor of the rack [m].
+        Target on the floor of the rack [m].
 
     Raises
     ------
     PlanError
-        The slot is out of reach with the hand as it holds.
+        The slot is out of reach with this grasp.
     GaveWayError
-        It had to give way to another robot, and has the way back to where the object stood.
+        The robot had to give way to another; the way back to where the object stood is then reserved.
     """
     kinematics = cell.kinematics[robot.name]
     here = plan.lift[-1]
@@ -201,14 +201,14 @@ def put_away(
 def _ways(
     kinematics: Kinematics, plan: Plan, beside_m: Vector, slot_m: Vector, begins: list[Angles]
 ) -> tuple[Angles, Way]:
-    """Angles over a slot, and the way down: of the turns of the hand the one that is nearest."""
+    """Joint angles over a slot and the path down, for the turn of the hand that needs the least motion."""
     above_table_m = plan.grasp.middle_m[2]
     found = []
     for turn_rad in 2 * np.pi * np.arange(_NUM_TURNS) / _NUM_TURNS:
         about = Rotation.from_rotvec(turn_rad * UP).as_matrix()
         hand = np.eye(4)
         hand[:3, :3] = about @ plan.held.rotation
-        # What is held stood on the table: it stands in the rack when the hand is as far above its floor.
+        # The object stood on the table. It stands in the rack when the hand has the same height over the rack's floor.
         hand[:3, 3] = slot_m - (about @ beside_m) * [1.0, 1.0, 0.0] + (above_table_m + _DROP_M) * UP
         way = _down(kinematics, from_matrix(hand), begins)
         if way is not None:

@@ -1,4 +1,4 @@
-"""A film of a running cell: what it did, many times faster, and what it decided, in words below."""
+"""A film of a running cell: its motion, several times faster, with its decisions as captions."""
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
@@ -22,7 +22,7 @@ from halfseen.scene.view import cup_name
 from halfseen.shapes import Float
 from halfseen.writing import write_file
 
-_LIFTED_M, _FLAT_M = 0.0004, 0.0006  # a stain's shape stands out of the wall by so much, and is so thick
+_LIFTED_M, _FLAT_M = 0.0004, 0.0006  # offset of a stain's shape from the wall, and its thickness
 _WIDTH_PX, _HEIGHT_PX, _CAPTION_PX, _MARGIN_PX = 600, 400, 28, 10
 _PICTURES_PER_S = 8.0
 _NUM_FOR_PALETTE = 8
@@ -31,7 +31,7 @@ _WOOD, _FLOOR = (0.72, 0.58, 0.42, 1.0), (0.86, 0.87, 0.89, 1.0)
 
 @dataclass(frozen=True)
 class Shot:
-    """How a film is taken: how much faster, and where the camera looks, from how far and where [m, m, °, °]."""
+    """Settings of a film: speed-up, and the camera's target [m], distance [m], azimuth and elevation [°]."""
 
     speed: float = 8.0
     looks_at_m: tuple[float, float, float] = (0.08, 0.20, 0.80)
@@ -45,7 +45,7 @@ OF_TWO_ARMS = Shot(looks_at_m=(0.0, 0.16, 0.78), distance_m=1.9, azimuth_deg=97.
 
 
 class Film:
-    """Takes pictures of a running cell; a `halfseen.cell.live_cell.Watch`."""
+    """Records pictures of a running cell; a `halfseen.cell.live_cell.Watch`."""
 
     def __init__(self, shot: Shot = Shot()) -> None:
         self.shot = shot
@@ -54,18 +54,18 @@ class Film:
         self._next_s = 0.0
 
     def __call__(self, cell: LiveCell) -> None:
-        """Keep how the cell stands, if it is time."""
+        """Record the state of the cell if the next picture is due."""
         if cell.time_s >= self._next_s:
             self._kept.append((cell.data.qpos.copy(), self._caption))
             self._next_s = cell.time_s + self.shot.speed / _PICTURES_PER_S
 
     def say(self, caption: str) -> None:
-        """Let words stand below the pictures that follow."""
+        """Set the caption of the following pictures."""
         self._caption = caption
 
     @property
     def captions(self) -> list[str]:
-        """Words below each picture so far."""
+        """Captions of the pictures so far."""
         return [caption for _, caption in self._kept]
 
     def write(self, file: Path, cell: Workcell) -> None:
@@ -88,7 +88,7 @@ class Film:
     def _drawn(self, cell: Workcell) -> list[Picture]:
         model = _painted(cell)
         data, shot = mujoco.MjData(model), self.shot
-        # Furniture is shown, too; not the walls by which cups are held.
+        # Show furniture, but not the invisible walls by which cups are held.
         shown, camera = mujoco.MjvOption(), mujoco.MjvCamera()
         shown.geomgroup[:] = [group != UNSEEN_GROUP for group in range(len(shown.geomgroup))]
         camera.lookat[:], camera.distance = shot.looks_at_m, shot.distance_m
@@ -104,7 +104,7 @@ class Film:
 
 
 def _painted(cell: Workcell) -> mujoco.MjModel:
-    """The same cell in colour: glazes, stains and spots, a wooden table, light from above."""
+    """The cell's model in colour: glazes, stains and spots, a wooden table, light from above."""
     robots, racks = [each.robot for each in cell.stations], [each.rack for each in cell.stations]
     spec = cell_spec(cell.table.cups, cell.table.world_from_cup, robots, racks)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
@@ -139,7 +139,7 @@ def _add_disc(body: mujoco.MjsBody, surface: Surface, stain: Stain) -> None:
 
 
 def _reduced(pictures: list[Image.Image]) -> list[Image.Image]:
-    """The same in 256 colours, one palette for all, so that what stands still is stored once."""
+    """The pictures in 256 colours with one shared palette, so that static parts are stored once."""
     some = pictures[:: max(1, len(pictures) // _NUM_FOR_PALETTE)]
     width, height = pictures[0].size
     strip = Image.new("RGB", (width, height * len(some)))

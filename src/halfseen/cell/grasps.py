@@ -1,9 +1,9 @@
-"""Grasps from the cloud alone: where a hand could close, in coordinates of the table, and what is in its way.
+"""Grasp candidates from the cloud alone, in table coordinates, and their obstacles.
 
-An object whose shape perception completed is taken by its rim (one finger inside), around it (both outside, from
-above), or across it where it lies. What is no vessel, and everything for a planner that trusts visible points only, is
-taken by the box around the points. On its way the open hand keeps clear of the points that are seen; where nothing is
-seen something may be: fingers in hidden space cost, the more of them the more.
+An upright vessel is grasped by its rim (one finger inside) or around it (both fingers outside, from above); a lying
+one is grasped across. Other objects, and all objects under the visible-only planner, are grasped by the box around
+their points. The open hand must avoid visible points. Hidden space may hold obstacles, so a grasp costs more the larger
+the share of its fingers in hidden space.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -24,13 +24,13 @@ from halfseen.shapes import Bool, Float
 Axes = Float[np.ndarray, "3 3"]
 
 UP = np.array([0.0, 0.0, 1.0])
-CLEARANCE_M = 0.012  # the hand opens this much wider on either side than what it closes on
-FLOOR_M = 0.004  # tips of fingers stay this far above the table
+CLEARANCE_M = 0.012  # extra opening on either side of the object
+FLOOR_M = 0.004  # fingertips stay this far above the table
 _RIM_OPENING_M = 0.046
-_RIM_DEPTH_M = 0.012  # of the pads' middle below the rim
-_WALL_M = 0.0015  # half of a usual wall
-_AROUND_DEPTH_M = 0.020  # of the pads' middle below the rim
-_BELOW_AXIS_M = 0.004  # a lying vessel is taken a little below its axis, so that it is not pressed out upwards
+_RIM_DEPTH_M = 0.012  # depth of the pads' middle below the rim
+_WALL_M = 0.0015  # half of a typical wall
+_AROUND_DEPTH_M = 0.020  # depth of the pads' middle below the rim
+_BELOW_AXIS_M = 0.004  # a lying vessel is grasped slightly below its axis, so that it does not slip out upwards
 _SMALLEST_RADIUS_M = 0.010
 _NUM_RIM, _NUM_AROUND, _NUM_BOX = 16, 8, 8
 _RIM_TILTS_RAD, _TILTS_RAD = (0.0, -0.6, 0.6), (0.0, -0.35, 0.35)
@@ -40,20 +40,20 @@ _ALONG = (0.25, 0.35, 0.45, 0.5, 0.55, 0.65, 0.75)
 
 @dataclass(frozen=True, eq=False)
 class Grasp:
-    """A place of the hand, between whose pads an object is to be held.
+    """A pose of the hand for grasping an object.
 
     Parameters
     ----------
     kind
         ``"rim"``, ``"around"``, ``"across"`` or ``"box"``.
     middle_m
-        Between the pads, on the table [m].
+        Point between the pads, in table coordinates [m].
     axes
-        Columns are the hand's axes: across the fingers, along which they close, and out of the palm.
+        Columns are the hand's axes: across the fingers, along the closing direction, and out of the palm.
     opening_m
-        Between the pads while the hand comes [m].
+        Opening between the pads during the approach [m].
     cost
-        What speaks against it; 0 is best.
+        Cost; 0 is best.
     """
 
     kind: str
@@ -64,24 +64,24 @@ class Grasp:
 
     @property
     def approach(self) -> Vector:
-        """Unit vector along which the hand comes."""
+        """Unit vector of the approach direction."""
         return self.axes[:, 2]
 
     def on_table(self, hand_m: Points) -> Points:
-        """Carry points of the hand to the table [m]."""
+        """Transform points from the hand frame to the table frame [m]."""
         return hand_m @ self.axes.T + self.middle_m
 
     def in_hand(self, table_m: Points) -> Points:
-        """Carry points of the table into the frame of the hand [m]."""
+        """Transform points from the table frame to the hand frame [m]."""
         return (table_m - self.middle_m) @ self.axes
 
 
 Grasping = Callable[[SeenObject, Points, Gripper], list[Grasp]]
-"""Which grasps there may be of an object, given the visible points of it on the table [m] and what grips."""
+"""Generates grasp candidates from an object, its visible points in table coordinates [m], and the gripper."""
 
 
 def completed(seen: SeenObject, points_m: Points, gripper: Gripper) -> list[Grasp]:
-    """Grasps of the completed shape; of the visible points where nothing completed it."""
+    """Grasps of the completed shape, or of the visible points if the object is not a vessel."""
     if not isinstance(seen.solid, Vessel):
         return visible(seen, points_m, gripper)
     make = _of_standing if seen.solid.is_upright else _of_lying
@@ -89,12 +89,12 @@ def completed(seen: SeenObject, points_m: Points, gripper: Gripper) -> list[Gras
 
 
 def visible(seen: SeenObject, points_m: Points, gripper: Gripper) -> list[Grasp]:
-    """Grasps of the box around the visible points, as if nothing were behind them."""
+    """Grasps of the box around the visible points, ignoring hidden parts."""
     return list(_of_points(points_m, gripper))
 
 
 GRASPING: dict[str, Grasping] = {"completed": completed, "visible-only": visible}
-"""By name: shapes are completed, or only what is visible counts, which is the honest contrast."""
+"""Grasp generators by name: with completed shapes, or with visible points only as the baseline."""
 
 
 def _of_standing(vessel: Vessel, gripper: Gripper) -> Iterator[Grasp]:
@@ -139,7 +139,7 @@ def _of_lying(vessel: Vessel, gripper: Gripper) -> Iterator[Grasp]:
 
 
 def _of_points(points_m: Points, gripper: Gripper) -> Iterator[Grasp]:
-    """From above, the closing axis in each of some directions: the box that holds all points but single ones."""
+    """Grasps from above, with several closing directions, of the box around all points but outliers."""
     top_m = float(np.percentile(points_m[:, 2], 99)) - _AROUND_DEPTH_M
     for angle, tilt in product(np.pi * np.arange(_NUM_BOX) / _NUM_BOX, _TILTS_RAD):
         closing, beside = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([-np.sin(angle), np.cos(angle), 0.0])
@@ -153,20 +153,20 @@ def _of_points(points_m: Points, gripper: Gripper) -> Iterator[Grasp]:
 
 
 def _above_table(grasp: Grasp, gripper: Gripper) -> Grasp:
-    """Draw the hand back until the tips of its fingers keep off the table."""
+    """Draw the hand back until its fingertips clear the table."""
     lowest_m = float(grasp.on_table(tips_m(grasp, gripper))[:, 2].min())
     back_m = max(0.0, FLOOR_M - lowest_m) / max(0.3, -float(grasp.approach[2]))
     return replace(grasp, middle_m=grasp.middle_m - back_m * grasp.approach)
 
 
 def tips_m(grasp: Grasp, gripper: Gripper) -> Points:
-    """Corners of the tips of the open fingers, in the frame of the hand [m]."""
+    """Corners of the open fingertips in the hand frame [m]."""
     across, out = 0.5 * gripper.pad_width_m, 0.5 * grasp.opening_m + gripper.finger_thickness_m
     return np.array([[x, y, 0.5 * gripper.pad_length_m] for x in (-across, across) for y in (-out, out)])
 
 
 def hand_axes(approach: Vector, closing: Vector) -> Axes:
-    """Axes of a hand that comes along one direction and closes along another, which is made square to it."""
+    """Hand axes from the approach and closing directions; the latter is made orthogonal to the former."""
     out = _unit(approach)
     close = _unit(closing - (closing @ out) * out)
     return np.stack([np.cross(close, out), close, out], axis=1)
@@ -184,12 +184,12 @@ def _unit(vector: Vector) -> Vector:
     return vector / np.linalg.norm(vector)
 
 
-_NEAR_M = 0.28  # what is farther from an object, across the table, is in nobody's way
-_BACK_M = 0.22  # how far back along its way the hand is looked after
+_NEAR_M = 0.28  # points farther from an object, across the table, are not obstacles
+_BACK_M = 0.22  # length of the approach that is checked for obstacles
 _MARGIN_M = 0.002
 _FLOOR_M = 0.003
 _WRIST_RADIUS_M = 0.045
-_BEHIND_M = 0.01  # farther than what is seen by this: hidden
+_BEHIND_M = 0.01  # a point this much farther than the visible depth is hidden
 _MOST_OTHER_POINTS = 2
 _MOST_OWN_POINTS = (12, 4)  # in the fingers, in the palm
 _COST_HIDDEN, _COST_HIDDEN_BY_ITSELF = 1.0, 0.3
@@ -199,10 +199,10 @@ _NUM_ALONG_FINGER = 6
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What a view shows around an object, in coordinates of the table [m].
+    """Visible surroundings of an object, in table coordinates [m].
 
-    `own_m` are the visible points of the object, whose label is `id`; `other_m` of what else is above the table near
-    it.
+    `own_m` holds the visible points of the object with label `id`; `other_m` holds other points near it above the
+    table.
     """
 
     own_m: Float[np.ndarray, "own 3"]
@@ -214,7 +214,7 @@ class Surroundings:
     camera_from_table: Float[np.ndarray, "4 4"]
 
     def hidden(self, points_m: Points) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-        """Which points nobody sees (something is nearer, or nothing returned), and which the object itself hides."""
+        """Masks of points that are hidden (behind a surface or without return), and hidden by the object itself."""
         rotation, shift_m = self.camera_from_table[:3, :3], self.camera_from_table[:3, 3]
         seen_m = points_m @ rotation.T + shift_m
         pixel = np.rint((seen_m @ self.intrinsics.T)[:, :2] / seen_m[:, 2:]).astype(int)
@@ -224,14 +224,14 @@ class Surroundings:
 
 
 def surroundings(view: View, seen: SeenObject) -> Surroundings:
-    """Gather what a view shows around an object."""
+    """Collect the visible surroundings of an object from a view."""
     rotation, shift_m = view.camera_from_table[:3, :3], view.camera_from_table[:3, 3]
     is_return = view.image.is_return
     table_m = (view.image.points_m[is_return] - shift_m) @ rotation
     is_own = view.labels[is_return] == seen.id
     own_m = table_m[is_own]
     is_near = np.linalg.norm(table_m[:, :2] - np.median(own_m[:, :2], axis=0), axis=1) < _NEAR_M
-    # Whatever is above the table is in the way, objects or not.
+    # Everything above the table is an obstacle, whether or not it belongs to an object.
     is_other = ~is_own & is_near & (table_m[:, 2] > LOWEST_OBJECT_M)
     return Surroundings(
         own_m,
@@ -247,12 +247,12 @@ def surroundings(view: View, seen: SeenObject) -> Surroundings:
 def ranked(
     grasps: Iterable[Grasp], around: Surroundings, gripper: Gripper, failed: Sequence[Grasp] = ()
 ) -> list[Grasp]:
-    """Keep the grasps whose way is free, and put the cheapest first.
+    """Keep the collision-free grasps and sort them by cost, cheapest first.
 
     Returns
     -------
     list of Grasp
-        Each with what hidden space and former failures add to its cost.
+        Grasps with the costs of hidden space and earlier failures added.
     """
     free = [grasp for grasp in grasps if _is_free(grasp, around, gripper)]
     costed = [replace(grasp, cost=grasp.cost + _more_cost(grasp, around, gripper, failed)) for grasp in free]
@@ -263,7 +263,7 @@ def _is_free(grasp: Grasp, around: Surroundings, gripper: Gripper) -> bool:
     if _lowest_m(grasp, gripper) < _FLOOR_M:
         return False
     fingers, palm, between = _within(grasp.in_hand(around.other_m), grasp, gripper, _MARGIN_M)
-    # By its rim a cup is held with one finger inside: what is between the fingers is mostly its own other wall.
+    # A rim grasp has one finger inside the cup, so points between the fingers are mostly the cup's opposite wall.
     in_the_way = fingers | palm | (between & (grasp.kind != "rim"))
     own_fingers, own_palm, _ = _within(grasp.in_hand(around.own_m), grasp, gripper, -0.5 * _MARGIN_M)
     most_in_fingers, most_in_palm = _MOST_OWN_POINTS
@@ -282,14 +282,14 @@ def _lowest_m(grasp: Grasp, gripper: Gripper) -> float:
 
 
 def _palm_m(gripper: Gripper) -> float:
-    """Front of the palm from the middle of the pads, along the way of the hand [m]; negative."""
+    """Position of the palm's front relative to the middle of the pads, along the approach [m]; negative."""
     return 0.5 * gripper.pad_length_m - gripper.finger_m
 
 
 def _within(
     hand_m: Points, grasp: Grasp, gripper: Gripper, margin_m: float
 ) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """Which points the fingers sweep on their way, which the palm and the wrist, and which are between the fingers."""
+    """Masks of the points swept by the fingers, by the palm and wrist, and of those between the fingers."""
     x, y, z = np.abs(hand_m[:, 0]), np.abs(hand_m[:, 1]), hand_m[:, 2]
     half_m, tip_m, palm_m = 0.5 * grasp.opening_m, 0.5 * gripper.pad_length_m, _palm_m(gripper)
     is_across = x < 0.5 * gripper.pad_width_m + margin_m
@@ -312,7 +312,7 @@ def _more_cost(grasp: Grasp, around: Surroundings, gripper: Gripper, failed: Seq
 
 
 def _finger_m(grasp: Grasp, gripper: Gripper) -> Points:
-    """Points of the open fingers, in the frame of the hand [m]."""
+    """Sample points on the open fingers, in the hand frame [m]."""
     inner_m = 0.5 * grasp.opening_m + _MARGIN_M
     outer_m = 0.5 * grasp.opening_m + gripper.finger_thickness_m
     along = np.linspace(0.5 * gripper.pad_length_m, _palm_m(gripper), _NUM_ALONG_FINGER)

@@ -1,9 +1,9 @@
-"""What holds a cup in simulation: contact values, a parallel gripper of boxes, and the walls of hollow cups.
+"""Simulated grasping: contact parameters, a parallel gripper made of boxes, and the walls of hollow cups.
 
-The values were found by trial: with them a cup that is gripped around stays where the pads hold it, slippery or not.
-They are a simulation's, not a material's. The gripper's frame is the flange's: z points out of the palm, y is the
-closing axis; the site ``tcp`` lies between the pads. A cup meets tables and other cups by its convex hull, which no
-finger could reach into: only robots meet the boxes around it.
+The contact parameters were tuned so that a cup gripped around stays between the pads, slippery or not. They belong to
+the simulation, not to a material. The gripper's frame is the flange frame: z points out of the palm, y is the closing
+axis; the site ``tcp`` lies between the pads. A cup collides with tables and other cups by its convex hull. A finger
+could not reach into a hull, so robots collide with separate boxes that form the cup's walls.
 """
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
@@ -24,12 +24,12 @@ from halfseen.scene.rays import ROBOT_GROUP, UNSEEN_GROUP
 
 
 def require_positive(what: str, part: object, names: Iterable[str]) -> None:
-    """Refuse a part with a number that is not positive and finite.
+    """Refuse a part if any of the named values is not positive and finite.
 
     Raises
     ------
     SceneError
-        One of them, or one of its components, is not.
+        A value, or one of its components, is not.
     """
     for name in names:
         value = getattr(part, name)
@@ -38,36 +38,37 @@ def require_positive(what: str, part: object, names: Iterable[str]) -> None:
 
 
 def require_finite(what: str, part: object, names: Iterable[str]) -> None:
-    """Refuse a part with a number that is not finite, as `require_positive` refuses those that are not positive."""
+    """Refuse a part if any of the named values is not finite; see `require_positive`."""
     for name in names:
         if not np.isfinite(getattr(part, name)):
             raise SceneError(f"{what}: {name} is {getattr(part, name)}; give a finite number")
 
 
 FURNITURE, WALLS, OBSTACLES, FIRST_ROBOT = 1, 2, 4, 8
-"""Contact bits: cups' hulls and furniture meet on the first; robots meet cups' walls and furniture on the next two, and
-one another on one for each robot, from the last on."""
+"""Contact bits. The first is for contacts among cups' hulls and furniture; the next two are for robots with cups' walls
+and with furniture. From the last on, each robot has a bit for contacts with other robots."""
 
 ROBOT: dict[str, Any] = {"contype": 0, "conaffinity": WALLS | OBSTACLES, "group": ROBOT_GROUP}
-"""A robot's geoms meet what shows itself to robots, and nothing of their own; cameras tell them from cups."""
+"""Settings of a robot's geoms: they collide with cups' walls and furniture but not with one another, and have their own
+group for cameras."""
 
 
 @dataclass(frozen=True)
 class Contacts:
-    """Values of the solver and of the contact of pads and cups.
+    """Parameters of the solver and of the contact between pads and cups.
 
     Parameters
     ----------
     timestep_s
-        Length of a step [s].
+        Time step [s].
     friction_to_normal
-        How much stiffer friction is than the normal force (``impratio``) [-]: what is held does not creep out.
+        Ratio of friction to normal impedance (``impratio``) [-]; a large one keeps held objects from creeping.
     pad_stiffness
         Time constant [s] and damping ratio [-] of a pad.
     pad_impedance
-        Of a pad: least, largest [-], and the depth over which it grows [m].
+        Smallest and largest impedance of a pad [-], and the depth over which it grows [m].
     pad_friction
-        Of pads on cups: sliding [-], spinning [m] and rolling [m].
+        Sliding [-], spinning [m] and rolling [m] friction of pads on cups.
     """
 
     timestep_s: float = 0.002
@@ -77,7 +78,7 @@ class Contacts:
     pad_friction: tuple[float, float, float] = (0.9, 0.01, 0.0002)
 
     def solve(self, spec: mujoco.MjSpec) -> None:
-        """Set a model's solver; what rests sleeps, and costs nothing."""
+        """Set a model's solver options; bodies at rest sleep at no cost."""
         spec.option.timestep = self.timestep_s
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         spec.option.impratio = self.friction_to_normal
@@ -85,7 +86,7 @@ class Contacts:
         spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
     def of_pad(self, friction: float | None = None) -> dict[str, Any]:
-        """Contact of a pad, or of a cup's wall with its own sliding friction [-], as a geom takes it."""
+        """Contact settings for the geom of a pad, or of a cup's wall with its own sliding friction [-]."""
         sliding = self.pad_friction[0] if friction is None else friction
         return {
             "condim": 4,
@@ -101,20 +102,20 @@ _BOX = mujoco.mjtGeom.mjGEOM_BOX
 
 @dataclass(frozen=True)
 class Gripper:
-    """Sizes and force of a gripper.
+    """Dimensions and force of a gripper.
 
     Parameters
     ----------
     stroke_m
-        Between the pads when open [m].
+        Largest opening between the pads [m].
     finger_m
         Length of a finger, from palm to tip [m].
     finger_width_m, finger_thickness_m
-        Across and along the closing axis, the pad's thickness included [m].
+        Size of a finger across and along the closing axis, including the pad [m].
     pad_width_m, pad_thickness_m, pad_length_m
-        Of a pad: across, along the closing axis, and along the finger [m].
+        Size of a pad across and along the closing axis, and along the finger [m].
     palm_m
-        Sizes of the palm: across, along the closing axis, deep [m].
+        Size of the palm across and along the closing axis, and its depth [m].
     force_n
         Largest force of a finger [N].
 
@@ -146,16 +147,16 @@ class Gripper:
 
     @property
     def tip_m(self) -> float:
-        """From the flange to the tips of the fingers [m]."""
+        """Distance from the flange to the fingertips [m]."""
         return self.palm_m[2] + self.finger_m
 
     @property
     def tcp_m(self) -> float:
-        """From the flange to the middle of the pads [m]."""
+        """Distance from the flange to the middle of the pads [m]."""
         return self.tip_m - 0.5 * self.pad_length_m
 
     def spec(self, contacts: Contacts) -> mujoco.MjSpec:
-        """Build the gripper alone: bodies ``hand``, ``finger_left`` and ``finger_right``, a servo for each finger."""
+        """Build the gripper alone: bodies ``hand``, ``finger_left`` and ``finger_right``, and a servo per finger."""
         spec = mujoco.MjSpec()
         hand = spec.worldbody.add_body(name="hand", gravcomp=1.0)
         half = [0.5 * size for size in self.palm_m]
@@ -205,7 +206,7 @@ class Gripper:
         servo.forcelimited, servo.forcerange = True, [-self.force_n, self.force_n]
 
 
-_SIDES = {"left": 1, "right": -1}  # sign of the closing axis on which a finger opens
+_SIDES = {"left": 1, "right": -1}  # sign of each finger's opening direction along the closing axis
 
 
 NUM_WALLS = 16
@@ -213,12 +214,12 @@ _NUM_HANDLE_PARTS = 5
 
 
 def add_walls(body: mujoco.MjsBody, cup: Cup, contacts: Contacts, friction: float | None = None) -> None:
-    """Add walls, a bottom and a handle to the body of a cup; they weigh nothing.
+    """Add massless walls, a bottom and a handle to the body of a cup.
 
     Parameters
     ----------
     friction
-        Sliding friction on pads [-]; None for that of `contacts`.
+        Sliding friction on pads [-]; None for the value of `contacts`.
     """
     shared: dict[str, Any] = {
         "mass": 0,
@@ -241,7 +242,7 @@ def add_walls(body: mujoco.MjsBody, cup: Cup, contacts: Contacts, friction: floa
 
 
 def _add_wall(body: mujoco.MjsBody, cup: Cup, angle_rad: float, shared: dict[str, Any]) -> None:
-    """A box as wide as its share of the circumference, leaning as the cup widens."""
+    """Add a box that covers a part of the circumference and leans like the cup's wall."""
     radial = np.array([np.cos(angle_rad), np.sin(angle_rad), 0.0])
     around = np.array([-np.sin(angle_rad), np.cos(angle_rad), 0.0])
     up = (cup.rim_radius_m - cup.base_radius_m) / cup.height_m * radial + [0.0, 0.0, 1.0]

@@ -1,11 +1,11 @@
-"""Where a robot's hand is, which angles bring it to a pose (damped least squares), and straight lines in time.
+"""Forward kinematics, inverse kinematics (damped least squares), and straight lines with time parametrisation.
 
 A step from angles q with error e (position [m], and rotation [rad] times a length) is
 
     Δq = Jᵀ (J Jᵀ + μ² I)⁻¹ e,
 
-with J the geometric Jacobian and μ that falls as the error does, so that a place out of reach is approached and one in
-reach is met [NakamuraHanafusa1986]_ [Sugihara2011]_.
+with the geometric Jacobian J and a damping μ that decreases with the error, so that the search approaches a pose out of
+reach and converges to one within reach [NakamuraHanafusa1986]_ [Sugihara2011]_.
 """
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
@@ -25,8 +25,8 @@ from halfseen.shapes import Bool, Float
 
 Angles = Float[np.ndarray, " J"]
 
-NEAR_M, NEAR_RAD = 5e-4, 2e-3  # how near is there
-_LEVER_M = 0.3  # what an error of rotation counts, beside one of position
+NEAR_M, NEAR_RAD = 5e-4, 2e-3  # tolerance of a pose
+_LEVER_M = 0.3  # weight of a rotation error relative to a position error
 _DAMPING = 0.03
 _LARGEST_STEP_RAD = 0.4
 
@@ -44,9 +44,9 @@ class Kinematics:
     Attributes
     ----------
     limits_rad
-        Least and largest angle of each joint [rad]; infinite where it turns without end.
+        Lower and upper limit of each joint [rad]; infinite for an endless joint.
     search_rad
-        Least and largest angle at which a search begins [rad].
+        Lower and upper bound of each joint's start angles [rad].
     """
 
     def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
@@ -63,11 +63,11 @@ class Kinematics:
 
     @property
     def is_endless(self) -> np.ndarray:
-        """Which joints turn without end; shape (J,)."""
+        """Mask of the endless joints; shape (J,)."""
         return np.isinf(self.limits_rad[:, 0])
 
     def hand(self, angles_rad: Angles) -> Pose:
-        """Pose of the point between the pads, in the world."""
+        """Pose of the point between the pads in the world."""
         self._place(angles_rad)
         site, quaternion = self._data.site(self._tcp), np.zeros(4)
         mujoco.mju_mat2Quat(quaternion, site.xmat)
@@ -76,21 +76,21 @@ class Kinematics:
         return Pose((x_m, y_m, z_m), (w, x, y, z))
 
     def solve(self, target: Pose, begin_rad: Angles, num_steps: int = 60) -> Angles | None:
-        """Go from some angles towards a pose of the hand.
+        """Solve for joint angles that bring the hand to a pose.
 
         Parameters
         ----------
         target
-            The pose.
+            Target pose of the hand.
         begin_rad
-            Where to begin.
+            Start angles [rad].
         num_steps
-            Steps at most.
+            Largest number of steps.
 
         Returns
         -------
         Float[ndarray, "J"] or None
-            Angles, at the turn nearest to `begin_rad`; None if the hand is not there after so many steps.
+            Angles [rad], at the turn nearest to `begin_rad`; None if the search does not converge in `num_steps`.
         """
         angles = np.clip(begin_rad, *self.limits_rad.T)
         for _ in range(num_steps):
@@ -101,23 +101,23 @@ class Kinematics:
         return None
 
     def solve_from(self, target: Pose, begins_rad: Iterable[Angles], near_rad: Angles) -> Angles | None:
-        """Of the solutions from several beginnings, the one that turns no joint far from `near_rad`; None if none."""
+        """Solve from several start angles; of the solutions, return the closest to `near_rad`, or None if none."""
         found = [self.solve(target, begin) for begin in begins_rad]
         turned = [self.nearest_turn(angles, near_rad) for angles in found if angles is not None]
         return min(turned, key=lambda angles: float(np.abs(angles - near_rad).max()), default=None)
 
     def refuse_furniture(self, way: Iterable[Angles]) -> None:
-        """Refuse a way on which the robot would touch furniture.
+        """Refuse a path on which the robot would touch furniture.
 
         Parameters
         ----------
         way
-            Angles of the joints, place by place.
+            Joint angles at each point of the path [rad].
 
         Raises
         ------
         PlanError
-            It would; the message says where its hand is then.
+            The robot would touch furniture; the message states the position of its hand.
         """
         for angles in way:
             self._place(angles)
@@ -131,7 +131,7 @@ class Kinematics:
                 )
 
     def nearest_turn(self, angles_rad: Angles, near_rad: Angles) -> Angles:
-        """Turn endless joints by whole turns, to less than half a turn from others."""
+        """Shift endless joints by whole turns to within half a turn of `near_rad`."""
         apart = (angles_rad - near_rad + pi) % (2 * pi) - pi
         return np.where(self.is_endless, near_rad + apart, angles_rad)
 
@@ -140,7 +140,7 @@ class Kinematics:
         mujoco.mj_kinematics(self._model, self._data)
 
     def _error(self, target: Pose, angles_rad: Angles) -> tuple[np.ndarray, np.ndarray]:
-        """From the hand to the target: position [m], and rotation as a vector [rad]."""
+        """Error from the hand to the target: position [m] and rotation vector [rad]."""
         self._place(angles_rad)
         site = self._data.site(self._tcp)
         now, apart, turn = np.zeros(4), np.zeros(4), np.zeros(3)
@@ -156,13 +156,13 @@ class Kinematics:
         moves, turns = self._jacobian[:, :, self._columns]
         jacobian, error = np.concatenate([moves, _LEVER_M * turns]), np.concatenate([apart_m, _LEVER_M * apart_rad])
         step = _damped(jacobian, error)
-        # An arm with a joint to spare does without one that is at its limit.
+        # A redundant arm does without joints that are stuck at a limit.
         if len(step) > len(error) and (stuck := self._is_stuck(angles_rad, step)).any():
             step = _damped(np.where(stuck, 0.0, jacobian), error)
         return step * min(1.0, _LARGEST_STEP_RAD / max(float(np.abs(step).max()), 1e-12))
 
     def _is_stuck(self, angles_rad: Angles, step_rad: Angles) -> Bool[np.ndarray, " J"]:
-        """Which joints are at a limit, and would go on."""
+        """Mask of the joints that are at a limit and would move beyond it."""
         least, largest = self.limits_rad.T
         return ((angles_rad <= least) & (step_rad < 0)) | ((angles_rad >= largest) & (step_rad > 0))
 
@@ -174,28 +174,28 @@ def _damped(jacobian: Float[np.ndarray, "6 J"], error: Float[np.ndarray, " 6"]) 
 
 Way = Float[np.ndarray, "k J"]
 
-STEP_M = 0.02  # between two places of a line at which angles are sought
-_LARGEST_TURN_RAD = 0.6  # of a joint, between two such places: more is another way to hold the arm, not a line
-RAMP_S = 0.25  # how long it takes to reach full speed, and to stop [s]
+STEP_M = 0.02  # distance between the points of a line at which angles are solved
+_LARGEST_TURN_RAD = 0.6  # largest turn of a joint between two points; more is a jump to another arm configuration
+RAMP_S = 0.25  # time to reach full speed, and to stop [s]
 
 
 def line(kinematics: Kinematics, begin_rad: Angles, begin: Pose, end_m: Float[np.ndarray, " 3"]) -> Way:
-    """Move the hand on a straight line, without turning it.
+    """Compute joint angles that move the hand on a straight line without turning it.
 
     Parameters
     ----------
     end_m
-        Where the hand is to go [m].
+        Target of the hand [m].
 
     Returns
     -------
     Float[ndarray, "k J"]
-        Angles on the way, the last at its end; those of the beginning are left out.
+        Angles along the line, without those at its start [rad].
 
     Raises
     ------
     PlanError
-        The line leaves the reach, or the arm would have to fold over; the message says where.
+        The line leaves the reach, or the arm would have to fold over; the message states where.
     """
     here_m = np.asarray(begin.position_m)
     num_steps = max(1, int(np.ceil(np.linalg.norm(end_m - here_m) / STEP_M)))
@@ -216,18 +216,18 @@ def line(kinematics: Kinematics, begin_rad: Angles, begin: Pose, end_m: Float[np
 
 @dataclass(frozen=True)
 class Schedule:
-    """Angles by time, from rest to rest along a way: when each place would be reached without ramps [s], from 0."""
+    """A timed path from rest to rest: `reached_s` is when each point would be reached without ramps [s], from 0."""
 
     reached_s: Float[np.ndarray, " k"]
     way_rad: Way
 
     @property
     def duration_s(self) -> float:
-        """How long it takes [s]."""
+        """Duration of the path [s]."""
         return float(self.reached_s[-1]) + RAMP_S
 
     def at(self, times_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n J"]:
-        """Angles at times from the beginning [s]: full speed between two ramps of constant acceleration."""
+        """Angles at times from the start [s]: full speed between two ramps of constant acceleration."""
         full_s, ramp_s = float(self.reached_s[-1]), RAMP_S
         starting_s = 0.5 * times_s**2 / ramp_s
         stopping_s = full_s - 0.5 * np.maximum(0.0, full_s + ramp_s - times_s) ** 2 / ramp_s
@@ -237,7 +237,7 @@ class Schedule:
 
 
 def schedule(begin_rad: Angles, way: Way, speeds_rad_s: Angles) -> Schedule:
-    """Go along a way as fast as its slowest joint allows.
+    """Schedule a path as fast as its slowest joint allows.
 
     Parameters
     ----------
@@ -246,6 +246,6 @@ def schedule(begin_rad: Angles, way: Way, speeds_rad_s: Angles) -> Schedule:
     """
     places = np.concatenate([begin_rad[None], way])
     legs_s = (np.abs(np.diff(places, axis=0)) / speeds_rad_s).max(axis=1)
-    # A ramp up and one down fit into what is at least as long as one of them.
+    # The path takes at least one ramp's time, so that acceleration and deceleration fit.
     stretched = legs_s * max(1.0, RAMP_S / max(float(legs_s.sum()), 1e-9))
     return Schedule(np.concatenate([[0.0], np.cumsum(stretched)]), places)

@@ -1,7 +1,7 @@
-"""The cell as it runs: what robots are commanded to do, physics that goes on meanwhile, and what stops it.
+"""The running cell: commands to robots, the physics that advances with them, and the conditions that stop it.
 
-What a robot does is a generator of commands, an `Activity`: it reads the cell when it is asked for the next command,
-and learns whether the last was carried out. All but `Reserve` always are.
+An `Activity` is a generator of robot commands. It reads the cell before each command and receives whether the last one
+was executed. Every command but `Reserve` always is.
 """
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
@@ -26,7 +26,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """Move along a way, from rest to rest, with a share of the joints' largest speeds."""
+    """Move along a path, from rest to rest, at a fraction of the joints' maximum speeds."""
 
     way: Way
     speed: float = 1.0
@@ -34,7 +34,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Grip:
-    """Open or close the hand: the opening between its pads [m], below 0 if it presses, and what that takes [s]."""
+    """Open or close the hand: opening between the pads [m], negative to press, and duration [s]."""
 
     opening_m: float
     seconds: float = 0.5
@@ -42,18 +42,18 @@ class Grip:
 
 @dataclass(frozen=True)
 class Rest:
-    """Let time pass [s]."""
+    """Wait [s]."""
 
     seconds: float
 
 
 @dataclass(frozen=True, eq=False)
 class Reserve:
-    """Have the space of a way for oneself before it is gone; who works alone has it at once.
+    """Reserve the space of a path before moving along it; a single robot gets it at once.
 
-    `way` are angles to go through, of all moves until the next reservation, and `below_m` is how far below the hand
-    what it holds reaches [m]. `back` is the way home, if there is one, for a robot that has to give way: it is then
-    reserved, and the answer is False. Who is not patient only tries.
+    `way` holds the joint angles of all moves until the next reservation. `below_m` is how far the held object reaches
+    below the hand [m]. `back` is the way home, if there is one. If the robot has to give way, that is reserved instead
+    and the answer is False. A request with `is_patient` False does not wait.
     """
 
     way: Float[np.ndarray, "going J"]
@@ -64,21 +64,21 @@ class Reserve:
 
 Command: TypeAlias = Move | Grip | Rest | Reserve
 Activity: TypeAlias = Generator[Command, bool, Result]
-"""What a robot does: commands, and at last what came of them."""
+"""A generator of a robot's commands that returns their result."""
 
 
-NUM_STEPS = 5  # steps of physics between two commands to the servos: a hundredth of a second
+NUM_STEPS = 5  # physics steps per servo command: a hundredth of a second
 Watch = Callable[["LiveCell"], None]
-"""Called once for each command; what it raises ends the motion, as an emergency stop does."""
+"""Called once per servo command; an exception from it ends the motion, as an emergency stop does."""
 
 
 class LiveCell:
-    """A cell with its robots at home and its hands half open.
+    """A running cell; initially robots are at home with hands half open.
 
     Parameters
     ----------
     model
-        What `cell_model` made.
+        Model from `cell_model`.
     robots
         The robots in it.
 
@@ -87,13 +87,13 @@ class LiveCell:
     num_cups
         Number of cups.
     watches
-        Each is called once for each command to the servos.
+        Functions called once per servo command.
     """
 
     def __init__(self, model: mujoco.MjModel, robots: Sequence[Robot]) -> None:
         self.model, self.data = model, mujoco.MjData(model)
         self.watches: list[Watch] = []
-        # Bodies of cups come first in the model.
+        # The cups are the first bodies of the model.
         self.num_cups = sum(model.body(index + 1).name == cup_name(index) for index in range(model.nbody - 1))
         self.kinematics = {robot.name: Kinematics(model, robot) for robot in robots}
         for robot in robots:
@@ -105,7 +105,7 @@ class LiveCell:
 
     @property
     def tick_s(self) -> float:
-        """Between two commands to the servos [s]."""
+        """Time between two servo commands [s]."""
         return NUM_STEPS * self.model.opt.timestep
 
     @property
@@ -114,22 +114,22 @@ class LiveCell:
         return float(self.data.time)
 
     def angles_rad(self, robot: Robot) -> Angles:
-        """Angles of a robot's joints."""
+        """Joint angles of a robot [rad]."""
         return np.array([self.data.joint(name).qpos[0] for name in robot.joint_names])
 
     def opening_m(self, robot: Robot) -> float:
-        """Between the pads of a robot [m]."""
+        """Opening between a robot's pads [m]."""
         return float(sum(self.data.joint(name).qpos[0] for name in robot.slide_names))
 
     def cup(self, index: int) -> Pose:
-        """Pose of a cup, in the world."""
+        """Pose of a cup in the world."""
         body = self.data.body(cup_name(index))
         x_m, y_m, z_m = map(float, body.xpos)
         w, x, y, z = map(float, body.xquat / np.linalg.norm(body.xquat))
         return Pose((x_m, y_m, z_m), (w, x, y, z))
 
     def wait(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advance the physics."""
         num_left = round(seconds / self.model.opt.timestep)
         while num_left > 0:
             num_steps = min(NUM_STEPS, num_left)
@@ -139,7 +139,7 @@ class LiveCell:
                 watch(self)
 
     def carry_out(self, robot: Robot, activity: Activity[Result]) -> Result:
-        """Let one robot do something while all others stand: whatever it wants to reserve is free."""
+        """Execute one robot's activity while all others stand still; every reservation is granted."""
         try:
             command = next(activity)
             while True:
@@ -149,7 +149,7 @@ class LiveCell:
             return ended.value
 
     def do(self, robot: Robot, command: Command) -> None:
-        """Let one robot carry out a command while all others stand."""
+        """Execute one robot's command while all others stand still."""
         match command:
             case Move():
                 for angles in self.commanded_rad(robot, command):
@@ -163,17 +163,17 @@ class LiveCell:
                 self.wait(command.seconds)
 
     def commanded_rad(self, robot: Robot, move: Move) -> Float[np.ndarray, "ticks J"]:
-        """Angles for the servos, tick by tick, from where they are along a way."""
+        """Servo angles for each tick along a path, from the current set points [rad]."""
         begin = np.array([self.data.actuator(name).ctrl[0] for name in robot.joint_names])
         plan = schedule(begin, move.way, move.speed * robot.arm.speeds_rad_s)
         return plan.at(self.tick_s * np.arange(1, np.ceil(plan.duration_s / self.tick_s) + 1))
 
     def steer(self, robot: Robot, angles_rad: Angles) -> None:
-        """Tell a robot's servos where its joints are to be."""
+        """Set the target angles of a robot's servos [rad]."""
         self.data.ctrl[[self.model.actuator(name).id for name in robot.joint_names]] = angles_rad
 
     def close(self, robot: Robot, opening_m: float) -> None:
-        """Tell the fingers how far to be apart [m], as far as their force goes; below 0 they press."""
+        """Set the target opening of the fingers [m], within their force limit; negative values press."""
         for name in robot.slide_names:
             self.data.actuator(name).ctrl = 0.5 * opening_m
 
@@ -187,16 +187,16 @@ class StoppedError(Exception):
 
 @dataclass(frozen=True)
 class Stops:
-    """When the cell stops.
+    """Conditions that stop the cell.
 
     Parameters
     ----------
     limit_s
-        Longest time of an attempt, until it is known whether it holds [s].
+        Longest duration of an attempt, until its outcome is known [s].
     force_n
-        Largest force of a contact of the robot [N].
+        Largest contact force on a robot [N].
     camera_lost_per_s
-        Rate at which the camera is lost [1/s].
+        Rate of camera failures [1/s].
     """
 
     limit_s: float = 9.5
@@ -205,7 +205,7 @@ class Stops:
 
 
 class Guard:
-    """Watches a running cell and stops it; `rng` draws when the camera is lost, from `now_s` on the cell's clock on."""
+    """Watches a running cell and stops it; `rng` draws the time of the camera failure after `now_s` [s]."""
 
     def __init__(self, stops: Stops, now_s: float, rng: np.random.Generator) -> None:
         self.stops = stops
@@ -214,18 +214,18 @@ class Guard:
 
     @contextmanager
     def timing(self, begun_s: float) -> Iterator[None]:
-        """Time an attempt that began at some time [s]; several robots may be at one each."""
+        """Time an attempt that began at `begun_s` [s]; several robots may be timed at once."""
         self._begun_s.append(begun_s)
         yield
         self._begun_s.remove(begun_s)
 
     def __call__(self, cell: LiveCell) -> None:
-        """Look whether something stops it.
+        """Stop the cell if a condition is met.
 
         Raises
         ------
         StoppedError
-            With the cause.
+            A condition is met; the argument is the cause.
         """
         if cell.time_s > self._lost_s:
             raise StoppedError(SENSOR_LOST)
@@ -236,7 +236,7 @@ class Guard:
 
 
 def largest_force_n(cell: LiveCell) -> float:
-    """Largest force of a contact of a robot with anything: a cup, furniture, or another robot [N]."""
+    """Largest contact force of a robot with a cup, furniture, or another robot [N]."""
     model, data = cell.model, cell.data
     if not data.ncon:
         return 0.0

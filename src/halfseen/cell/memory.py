@@ -1,6 +1,6 @@
-"""What a robot knows of the objects on its table, from look to look and attempt to attempt.
+"""A robot's memory of the objects on its table across looks and attempts.
 
-It knows no law: labels are kept as looks gave them, and anyone who believes in a law of seeing makes chances of them.
+The memory assumes no model of seeing. It keeps labels as looks gave them; a belief turns them into probabilities.
 """
 
 from collections.abc import Sequence
@@ -19,20 +19,20 @@ from halfseen.perception.view import SeenObject, View
 from halfseen.shapes import Float
 
 SAME_DEPTH_M = 0.015
-"""Depths that differ by less are the same place [m]: they err, and cups stand within millimetres."""
+"""Depths that differ by less count as equal [m]: depths have errors, and cups stand within millimetres."""
 MOSTLY = 0.5
-"""More than this share of what was seen of an object must tell that it is not there; and as much must return at all."""
+"""An object has vanished if this share of its former surface pixels return, and this share of those are evidence."""
 
 
 def has_vanished(surface_m: Points, view: View) -> bool:
-    """Whether a view sees past where an object was, or sees another object there.
+    """Whether a view sees past an object's former place, or sees another object there.
 
-    What stands before that place hides it, and tells nothing; nor does a pixel in which nothing returns.
+    Pixels occluded by something in front, and pixels without return, are no evidence.
 
     Parameters
     ----------
     surface_m
-        What was seen of the object, in the frame of the image's camera [m].
+        Visible surface points of the object, in the frame of the image's camera [m].
     """
     before, (num_rows, num_columns) = surface_m[surface_m[:, 2] > NEAREST_M], view.image.depth_m.shape
     columns, rows = np.rint(projected(before, view.image)).astype(np.int64).T
@@ -46,15 +46,15 @@ def has_vanished(surface_m: Points, view: View) -> bool:
 
 
 MORE_IN_VIEW = 0.02
-"""A look from which so much less of an object is hidden than from any before shows more of it."""
+"""A look shows more of an object if its hidden share is smaller by this than in every earlier look."""
 SAME_PLACE_M = 0.03
-"""What comes into view nearer than this to where an object was lost is that object again [m]."""
+"""A new object closer than this to the place of a lost one is taken for the lost one [m]."""
 
 
 class Glance(NamedTuple):
-    """One label of an object, by a look that showed more of it than any before.
+    """One label of an object, from a look that showed more of it than any before.
 
-    `occlusion` is the hidden share of it then, 0 where it was held up and turned before the camera (`is_held`).
+    `occlusion` is its hidden share in that look; 0 if it was held and turned in front of the camera (`is_held`).
     """
 
     occlusion: float
@@ -63,7 +63,7 @@ class Glance(NamedTuple):
 
 
 class Trial(NamedTuple):
-    """One attempt on an object: how hidden it was, whether it held, until when that was known [s], and by which arm."""
+    """One attempt on an object: its occlusion, whether the grasp held, the time until then [s], and the arm."""
 
     occlusion: float
     is_held: bool
@@ -73,12 +73,12 @@ class Trial(NamedTuple):
 
 @dataclass(eq=False)
 class Known:
-    """An object that was seen at some time.
+    """A known object.
 
-    It was last seen at `middle_m` [m], with `facts` and `surface_m`, points in the world [m]; `seen` is how it looks in
-    the last view, None where that does not show it. It `is_lost` where a look found it vanished: it fell, or never was
-    an object of its own, and comes back where it was, or not at all. `glances` are looks that showed more than any
-    before, and `trials` attempts, oldest first; `failed` are grasps that did not hold, on the table.
+    `middle_m` [m], `facts` and `surface_m`, points in the world [m], are from its last sighting. `seen` is its
+    appearance in the last view, None if that does not show it. `is_lost` is set if a look found it vanished: it fell,
+    or was never a separate object; it can reappear only at the same place. `glances` are labels from looks that showed
+    more than any before, and `trials` are attempts, oldest first. `failed` are failed grasps, in table coordinates.
     """
 
     middle_m: Vector
@@ -94,20 +94,20 @@ class Known:
 
     @property
     def is_gone(self) -> bool:
-        """Whether it is no longer on the table, as far as is known."""
+        """Whether it is no longer on the table, as far as the robot knows."""
         return self.is_racked or self.is_lost
 
     def see(self, now: "Known | None") -> None:
-        """Take in how it looks in the last view; None where that does not show it."""
+        """Update from its appearance in the last view; None if that does not show it."""
         self.seen = None if now is None else now.seen
         if now is not None:
             self.middle_m, self.facts, self.surface_m = now.middle_m, now.facts, now.surface_m
 
     def label(self, occlusion: float, says_dirty: bool, *, is_held: bool) -> None:
-        """Keep the label of a look, if it showed more than any before: else it repeats itself.
+        """Keep the label of a look if it showed more than any before; otherwise the label would repeat evidence.
 
-        `occlusion` is the hidden share of the object; what `is_held` was turned before the camera, and seen from all
-        sides.
+        `occlusion` is the hidden share of the object. If `is_held`, the object was turned in front of the camera and
+        seen from all sides.
         """
         was_held = any(glance.is_held for glance in self.glances)
         least = min((glance.occlusion for glance in self.glances), default=2.0)
@@ -116,18 +116,18 @@ class Known:
 
 
 class Memory:
-    """The objects, in the order in which they came into view.
+    """The known objects, in the order in which they came into view.
 
     Attributes
     ----------
     objects
-        What is known of each.
+        The known objects.
     hides
         ``hides[i, j]`` is the share of object i that object j alone hid in the last view that showed both; 0 before.
     doubts
-        What the last view left doubtful, a sentence each.
+        Ambiguities of the last view, one sentence each.
     world_from_table
-        Takes homogeneous points of the table, as the last view has it, into the world [m].
+        Transform of homogeneous points from the last view's table to the world [m].
     """
 
     def __init__(self) -> None:
@@ -137,16 +137,16 @@ class Memory:
         self.doubts: tuple[str, ...] = ()
 
     def update(self, view: View, world_from_table: Float[np.ndarray, "4 4"], in_hand: Sequence[Known] = ()) -> None:
-        """Take in a view: find again what was there, let go of what is not, and add what came into sight.
+        """Update from a view: match known objects, mark vanished ones as lost, and add new ones.
 
         Parameters
         ----------
         view
-            What is seen.
+            The new view.
         world_from_table
-            Takes homogeneous points of the table into the world [m].
+            Transform of homogeneous points from the table to the world [m].
         in_hand
-            What is not on the table for now.
+            Objects that are in a hand, so not on the table.
         """
         self.world_from_table = world_from_table
         camera = world_from_table @ np.linalg.inv(view.camera_from_table)
@@ -184,18 +184,18 @@ class Memory:
         return hides
 
     def occlusion(self, number: int, in_hand: Sequence[Known] = ()) -> float:
-        """Hidden share of an object, as states have it: 1 − Π_j (1 − hides[i, j]); what is in a hand hides nothing."""
+        """Hidden share of an object, as in states: 1 − Π_j (1 − hides[i, j]); objects in a hand hide nothing."""
         is_hiding = np.array([known not in in_hand for known in self.objects], dtype=bool)
         return float(1.0 - np.prod(1.0 - self.hides[number], where=is_hiding))
 
     def places_m(self) -> Points:
-        """Where each object was last seen: on the table, right, away from the camera and up [m]."""
+        """Last known position of each object on the table: right, away from the camera, and up [m]."""
         middles_m = np.array([known.middle_m for known in self.objects]).reshape(-1, 3)
         turned, moved_m = self.world_from_table[:3, :3], self.world_from_table[:3, 3]
         return (middles_m - moved_m) @ turned
 
     def number_of(self, seen_id: int) -> int | None:
-        """Which object has this number in the last view; None if none has."""
+        """Number of the object with this id in the last view; None if there is none."""
         numbers = [k for k, known in enumerate(self.objects) if known.seen is not None and known.seen.id == seen_id]
         return numbers[0] if numbers else None
 
@@ -203,7 +203,7 @@ class Memory:
 def _objects_of(
     view: View, world_from_table: Float[np.ndarray, "4 4"], world_from_camera: Float[np.ndarray, "4 4"]
 ) -> list[Known]:
-    """What a view shows, as if it had never been seen before."""
+    """The objects of a view as new known objects."""
     points_m, turned, moved_m = view.image.points_m.reshape(-1, 3), world_from_camera[:3, :3], world_from_camera[:3, 3]
     middles_m = [(world_from_table @ [*seen.solid.middle_m, 1.0])[:3] for seen in view.objects]
     surfaces_m = [points_m[seen.pixels] @ turned.T + moved_m for seen in view.objects]

@@ -1,4 +1,4 @@
-"""The cell as one MuJoCo model: the room with its cups, a rack beside the table, and one arm or several."""
+"""The cell as one MuJoCo model: the room with its cups, racks beside the table, and one or several arms."""
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
@@ -20,32 +20,32 @@ from halfseen.scene.rays import FURNITURE_GROUP
 from halfseen.scene.view import cup_name, room_spec
 from halfseen.shapes import Float
 
-SLOT_M = 0.13  # a cup in the rack takes so much along either side
+SLOT_M = 0.13  # side length of a cup's slot in the rack
 _RACK_DEPTH_M = 0.2
 _BOX = mujoco.mjtGeom.mjGEOM_BOX
 
 
 @dataclass(frozen=True)
 class Robot:
-    """An arm with a gripper, and where it stands.
+    """An arm with a gripper, and its placement.
 
     Parameters
     ----------
     name
-        Begins the names of all its parts, and differs from that of every other robot.
+        Unique name of the robot and prefix of the names of its parts.
     base_m
-        Of the arm's base [m].
+        Position of the arm's base [m].
     turn_rad
-        About the vertical [rad].
+        Rotation of the base about the vertical [rad].
     arm, gripper
-        What it is made of.
+        Its arm and gripper.
     home_rad
-        Angles of the joints where it waits, behind the table [rad]; `robot_of` finds those of another arm.
+        Joint angles at home, behind the table [rad]; `robot_of` finds those of another arm.
 
     Raises
     ------
     SceneError
-        There is not one angle for every joint.
+        The number of home angles differs from the number of joints.
     """
 
     name: str = "arm"
@@ -79,14 +79,14 @@ class Robot:
 
 @dataclass(frozen=True)
 class Rack:
-    """Where washed cups go: a low open box.
+    """The rack for washed cups: a low open box.
 
     Parameters
     ----------
     middle_m
-        Of its floor [m].
+        Middle of its floor [m].
     size_m
-        Along x, along y, and the height of its rim [m].
+        Size along x and y, and height of its rim [m].
     """
 
     middle_m: tuple[float, float, float] = (0.42, 0.63, 0.55)
@@ -94,7 +94,7 @@ class Rack:
 
     @property
     def slots_m(self) -> Float[np.ndarray, "n 3"]:
-        """Middles of the places for cups on its floor, the farthest from the table first [m]."""
+        """Middles of the slots on its floor, the farthest from the table first [m]."""
         x_m, y_m, z_m = self.middle_m
         columns, rows = (int(size // SLOT_M) for size in self.size_m[:2])
         along_x = x_m + self.size_m[0] / columns * (np.arange(columns) - 0.5 * (columns - 1))
@@ -108,7 +108,7 @@ class Rack:
 
 
 class Station(NamedTuple):
-    """A robot, the rack that is its own, and how far from the middle of its base it is asked to grasp [m]."""
+    """A robot, its own rack, and the largest distance from its base at which it is asked to grasp [m]."""
 
     robot: Robot = Robot()
     rack: Rack = Rack()
@@ -133,7 +133,7 @@ def cell_model(
     Raises
     ------
     SceneError
-        As `cell_spec` does.
+        As for `cell_spec`.
     """
     return cell_spec(cups, world_from_cup, robots, racks, contacts, frictions).compile()
 
@@ -151,16 +151,16 @@ def cell_spec(
     Parameters
     ----------
     robots
-        The robots; none for a room that is only looked at.
+        The robots; none for a room that is only viewed.
     racks
-        Where washed cups go.
+        The racks for washed cups.
     frictions
-        Of each cup on pads [-]; None for that of `contacts`.
+        Friction of each cup on the pads [-]; None for that of `contacts`.
 
     Raises
     ------
     SceneError
-        Two robots have one name, or there is not one pose, and one friction if any are given, for each cup.
+        Two robots have the same name, or the number of poses or given frictions differs from that of cups.
     """
     _check(cups, world_from_cup, robots, frictions)
     spec = room_spec(cups, world_from_cup, is_free=True)
@@ -180,7 +180,7 @@ def cell_spec(
 
 
 def _let_robots_meet(spec: mujoco.MjSpec, robots: Sequence[Robot]) -> None:
-    """Parts of a robot meet those of every other, and none of its own."""
+    """Let parts of each robot collide with those of every other, but not with its own."""
     for number, robot in enumerate(robots):
         own = FIRST_ROBOT << number
         others = sum(FIRST_ROBOT << other for other in range(len(robots)) if other != number)
@@ -239,7 +239,7 @@ def _add_rack(spec: mujoco.MjSpec, rack: Rack) -> None:
 
 
 _BASE_M, _RACK_M, _RACK_SIZE_M = (0.55, 0.05, 0.68), (0.45, 0.56, 0.55), (0.40, 0.40, 0.06)
-_REACH_M = 0.68  # to where it comes down from above, and can lift straight up
+_REACH_M = 0.68  # farthest distance at which the arm can descend from above and lift straight up
 _RIGHT_HOME_RAD = (-1.622, 3.547, 1.463, -2.797, -1.244, 1.864)
 _LEFT_HOME_RAD = (-1.520, 2.736, 4.820, 2.797, 1.244, -1.864)
 
@@ -252,8 +252,8 @@ def _station(name: str, side: float, home_rad: tuple[float, ...]) -> Station:
 
 
 PAIR = (_station("left", -1.0, _LEFT_HOME_RAD), _station("right", 1.0, _RIGHT_HOME_RAD))
-"""Two arms at the two ends of the table, left and right as the camera sees them, each the other's mirror image.
+"""Two mirrored arms at the two ends of the table, left and right in the camera's view.
 
-The camera looks along the table's short side, so that neither arm stands before it; each waits over its own rack, out
-of the way of the other, and reaches its own half of the table and a little more.
+The camera looks along the table's short side, so neither arm occludes the table. Each arm waits over its own rack, out
+of the other's way, and reaches slightly more than its own half of the table.
 """

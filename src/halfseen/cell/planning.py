@@ -1,8 +1,8 @@
-"""From a grasp to angles of the joints: hover, come straight, lift straight, or why not; and where an arm waits.
+"""Planning: joint angles to hover, approach and lift in straight lines, or the reason for failure; and home poses.
 
-It waits with its hand behind the table's left, so that most of the table is near. Angles for that are sought from many
-beginnings, always the same; of those that hold the hand there, free of furniture and with no joint at a limit, those
-with the highest elbows are tried: the robot takes the ones from which it comes straight to most places over the table.
+At home the hand is behind the table's left, close to most of the table. Inverse kinematics searches for home angles
+from many fixed start angles. Solutions must avoid furniture; those with a joint at a limit come last. Those with the
+highest elbows are tried, and the one with the most places over the table within straight reach is chosen.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -25,20 +25,21 @@ from halfseen.shapes import Float
 APPROACH_M = 0.10
 HOVER_M = 0.12
 LIFT_M = 0.20
-MOST_PLANS = 8  # grasps, no two of them alike, that are looked at before an object counts as out of reach
+MOST_PLANS = 8  # infeasible grasps, no two of them alike, after which an object counts as out of reach
 _ALIKE_M, _ALIKE_COSINE = 0.03, 0.98
 _NUM_DRAWN = 3
 
 
 class OutOfReachError(PlanError):
-    """One robot reaches no grasp of an object; another may."""
+    """A robot reaches no grasp of an object; another robot may."""
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """How a robot fetches an object: `grasp` on the table, and the pose of the hand there in the world.
+    """Plan to fetch an object: `grasp` in the table frame and `held`, the hand's pose there in the world.
 
-    Angles lead from above down to where the approach begins (`hover`), straight to the grasp, and straight up.
+    Joint angles go down to the start of the approach (`hover`), straight to the grasp (`approach`), and straight up
+    (`lift`).
     """
 
     grasp: Grasp
@@ -49,22 +50,22 @@ class Plan:
 
     @property
     def below_m(self) -> float:
-        """How far below the hand what it holds reaches: as far as the hand was above the table [m]."""
+        """How far the held object reaches below the hand: the hand's height over the table at the grasp [m]."""
         return float(self.grasp.middle_m[2])
 
     @property
     def way_in(self) -> Way:
-        """All moves of fetching."""
+        """Joint angles of hover, approach and lift."""
         return np.concatenate([self.hover, self.approach, self.lift])
 
     @property
     def way_out(self) -> Way:
-        """From where it was lifted to the way it came, hand empty."""
+        """Joint angles back along the approach and hover, with an empty hand."""
         return np.concatenate([self.approach[-2::-1], self.hover[::-1]])
 
     @property
     def way_back(self) -> Way:
-        """From where it was lifted, down to where it stood, and back the way it came."""
+        """Joint angles to put the object down where it stood and draw back."""
         return np.concatenate([self.lift[::-1], self.approach[-1:], self.way_out])
 
 
@@ -75,24 +76,26 @@ def plans(
     begin_rad: Angles,
     rng: np.random.Generator,
 ) -> Iterator[Plan]:
-    """Plan grasps that the robot can carry out.
+    """Plan the grasps that the robot can execute.
 
     Parameters
     ----------
     grasps
-        Candidates, best first; until `MOST_PLANS` of them are refused, and none that is like one that was tried.
+        Candidates, best first. Those similar to an earlier one are skipped; planning ends after `MOST_PLANS` failures.
     world_from_table
-        Takes homogeneous points of the table into the world [m].
+        Transform of homogeneous points from the table to the world [m].
 
     Yields
     ------
     Plan
-        At least one, the best first.
+        At least one, best first.
 
     Raises
     ------
     PlanError
-        There is no grasp, or none is within reach: then it is an `OutOfReachError`.
+        There is no grasp.
+    OutOfReachError
+        No grasp is within reach.
     """
     tried: list[Grasp] = []
     refusals: list[str] = []
@@ -115,7 +118,7 @@ def plans(
 
 
 def _is_alike(grasp: Grasp, other: Grasp) -> bool:
-    """Whether a grasp is where another is, and comes from there: what keeps one from it keeps the other."""
+    """Whether two grasps have nearly the same position and approach, and so the same obstacles."""
     apart_m = float(np.linalg.norm(grasp.middle_m - other.middle_m))
     return apart_m < _ALIKE_M and float(grasp.approach @ other.approach) > _ALIKE_COSINE
 
@@ -140,7 +143,7 @@ def _planned(
 
 
 def _above(kinematics: Kinematics, angles: Angles, before: Pose) -> Way:
-    """Come down from above; where that is out of reach, come as it is."""
+    """Path down from above to the start of the approach; empty if that is out of reach."""
     try:
         return line(kinematics, angles, before, np.add(before.position_m, [0.0, 0.0, HOVER_M]))[::-1]
     except PlanError:
@@ -148,7 +151,7 @@ def _above(kinematics: Kinematics, angles: Angles, before: Pose) -> Way:
 
 
 def _poses(grasp: Grasp, middle_m: Float[np.ndarray, " 3"], world_from_table: Float[np.ndarray, "4 4"]) -> list[Pose]:
-    """Poses of the hand at a place: as the grasp has it, and turned half about its approach, which is as good."""
+    """Two equivalent hand poses: that of the grasp, and one turned by 180° about the approach."""
     hand = np.eye(4)
     hand[:3, 3] = middle_m
     poses = []
@@ -159,7 +162,7 @@ def _poses(grasp: Grasp, middle_m: Float[np.ndarray, " 3"], world_from_table: Fl
 
 
 def beginnings(kinematics: Kinematics, here_rad: Angles, rng: np.random.Generator) -> list[Angles]:
-    """Angles from which a search begins: those now, and some that are drawn."""
+    """Start angles of a search: the current ones and some random ones."""
     drawn = rng.uniform(*kinematics.search_rad.T, size=(_NUM_DRAWN, len(here_rad)))
     return [here_rad, *(kinematics.nearest_turn(angles, here_rad) for angles in drawn)]
 
@@ -167,7 +170,7 @@ def beginnings(kinematics: Kinematics, here_rad: Angles, rng: np.random.Generato
 def _first(
     poses: list[Pose], kinematics: Kinematics, begin_rad: Angles, rng: np.random.Generator
 ) -> tuple[Pose, Angles]:
-    """The pose, and its angles, that are nearest to those now."""
+    """The pose whose joint angles are closest to the current ones, and those angles."""
     begins = beginnings(kinematics, begin_rad, rng)
     found = [(pose, kinematics.solve_from(pose, begins, begin_rad)) for pose in poses]
     reached = [(pose, angles) for pose, angles in found if angles is not None]
@@ -183,9 +186,9 @@ def _first(
 
 HOME_M = (-0.40, 0.58, 0.98)  # where the hand waits, pointing down
 STANDS_M = ((0.0, 0.42, 0.56), (0.0, 0.50, 0.72), (0.0, 0.60, 0.72))
-"""Where a base may stand behind the table, in the order in which they are tried."""
+"""Base positions behind the table, in the order in which they are tried."""
 PLACES_M = tuple(product((-0.3, 0.0, 0.3), (-0.2, 0.0, 0.2), (TABLE_TOP_M + 0.2,)))
-"""Over the table, where the hand is to come to from there, pointing down, and on to the table."""
+"""Positions over the table that the hand should reach from home, pointing down, and from which it descends."""
 _NUM_BEGUN, _NUM_KEPT = 96, 6
 _TURNS_RAD = (0.0, pi / 2, pi / 4, -pi / 4)
 _NUM_LOOKED_AT = 8
@@ -195,19 +198,19 @@ _NUM_REACHED = 2000
 
 
 def robot_of(arm: SerialArm, *, stands_m: Sequence[tuple[float, float, float]] = STANDS_M) -> Robot:
-    """Make a robot of any arm: find where it stands, the base's x to the table, and where it waits.
+    """Make a robot from any arm: find its base position, with the base's x towards the table, and its home angles.
 
     Parameters
     ----------
     arm
         The arm, for example an `ArmFile`.
     stands_m
-        Where its base may stand [m]; the first from which it comes everywhere is taken, or else the best.
+        Candidate base positions [m]; the first that reaches all of `PLACES_M` is chosen, or else the best.
 
     Raises
     ------
     PlanError
-        From none of them the hand comes to where it waits, or over the table; the message says how far it reaches.
+        No candidate lets the hand reach its home pose and the table; the message states the reach.
     """
     best, most = None, 0
     for base_m in stands_m:
@@ -227,17 +230,17 @@ def _standing(arm: SerialArm, base_m: tuple[float, float, float]) -> Robot:
 
 
 def home_rad(robot: Robot) -> tuple[Angles | None, int]:
-    """Find where a robot waits.
+    """Find a robot's home angles.
 
     Parameters
     ----------
     robot
-        The robot; where it waits so far is of no account.
+        The robot; its current home angles are ignored.
 
     Returns
     -------
     tuple
-        Angles of its joints [rad], None if its hand cannot be there, and to how many of `PLACES_M` it comes from there.
+        Joint angles [rad], None if the home pose is out of reach; and how many of `PLACES_M` they reach.
     """
     model = cell_model([], [], (robot,))
     kinematics, shown = Kinematics(model, robot), mujoco.MjData(model)
@@ -254,12 +257,12 @@ def home_rad(robot: Robot) -> tuple[Angles | None, int]:
 
 
 def _down(place_m: tuple[float, float, float], turn_rad: float) -> Pose:
-    """The hand at a place, pointing down and turned about the vertical."""
+    """Hand pose at a position, pointing down and turned about the vertical."""
     return Pose(place_m, (0.0, cos(0.5 * turn_rad), sin(0.5 * turn_rad), 0.0))
 
 
 def _comes(kinematics: Kinematics, home: Angles, place_m: tuple[float, float, float]) -> bool:
-    """Whether the hand comes from home to a place, all joints turning evenly, and straight down, without a touch."""
+    """Whether the hand gets from home to a position, all joints turning evenly, and straight down without contact."""
     for turn_rad in _TURNS_RAD[:2]:
         above = _down(place_m, turn_rad)
         there = kinematics.solve(above, home)
@@ -283,12 +286,12 @@ def _is_free(kinematics: Kinematics, way: np.ndarray) -> bool:
 
 
 def _is_cornered(kinematics: Kinematics, angles: Angles) -> bool:
-    """Whether a joint is at a limit, where it can only go back."""
+    """Whether a joint is at a limit."""
     return bool((np.abs(angles[:, None] - kinematics.limits_rad) < _CORNER_RAD).any())
 
 
 def _height_m(shown: mujoco.MjData, robot: Robot, angles: Angles) -> float:
-    """Of the arm's joints above the floor, on average [m]."""
+    """Mean height of the arm's joints above the floor [m]."""
     for name, angle in zip(robot.joint_names, angles, strict=True):
         shown.joint(name).qpos = angle
     mujoco.mj_kinematics(shown.model, shown)

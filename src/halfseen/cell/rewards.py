@@ -1,13 +1,13 @@
-"""What a table earns, by the truth: rewards, their luck, and what else came of it.
+"""Rewards of a table computed from the ground truth, their luck, and other results.
 
-Rewards and luck are known when an attempt ends, and booked when its stage is completed: a stage that a cut left
-incomplete has earned nothing, in the log or here, and has had no luck either. Each of several robots has its own share,
-too: what it would have been paid had it been alone, that is the reward of its own attempts and, where it comes to its
-own end, that of what is dirty in its reach.
+Rewards and luck are known when an attempt ends, and booked when its stage is completed. A stage left incomplete by a
+cut has neither reward nor luck, in the log and here. Each of several robots also has its own share: the reward that it
+would have been paid alone. That is the reward of its own attempts and, if it reaches its own end, that of the dirty
+cups left within its reach.
 
-Which cups are dirty is drawn, and that luck is most of what makes rewards differ from table to table. Where P(DIRTY) is
-calibrated its mean is 0 whatever decides (each term is the difference of an outcome from its expectation given all that
-was seen before), so that a mean without it is the same mean, better known: a control variate [Burch2018]_.
+Which cups are dirty is random, and this luck causes most of the variance of rewards between tables. If P(DIRTY) is
+calibrated, the mean of the luck is 0 under any policy: each term is an outcome minus its expectation given all earlier
+observations. Subtracting it keeps the mean reward and lowers its variance: it is a control variate [Burch2018]_.
 """
 
 from dataclasses import dataclass, field
@@ -24,18 +24,18 @@ from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
 
 _TOPPLED_COSINE = 0.5
-_ON_TABLE_M = 0.05  # a cup's origin is not lower than this below the top of the table it stands on
+_ON_TABLE_M = 0.05  # a cup on the table has its origin at most this far below the table's top
 
 
 class Truth:
-    """Which cups are dirty, and where they are: what no decision looks at."""
+    """Ground truth of the cups: dirtiness and poses, which no decision uses."""
 
     def __init__(self, cell: Workcell, is_dirty: Bool[np.ndarray, " N"]) -> None:
         self.is_dirty, self.is_racked = is_dirty, np.zeros(len(is_dirty), dtype=bool)
         self._stood = self._upright(cell) > _TOPPLED_COSINE
 
     def num_dirty_left(self, cell: Workcell, arm: int | None = None) -> int:
-        """Count dirty cups that are not in the rack; of an arm those in its reach, even where they are held or fell."""
+        """Count dirty cups that are not in a rack; for an arm, those within its reach, even if held or fallen."""
         is_left = self.is_dirty & ~self.is_racked
         if arm is not None:
             station = cell.stations[arm]
@@ -44,7 +44,7 @@ class Truth:
         return int(is_left.sum())
 
     def newly_racked(self, cell: Workcell, arm: int | None = None) -> list[bool]:
-        """Whether each cup that came into the rack (of an arm; None for all) since it was asked last is dirty."""
+        """Whether each cup that entered the rack (of one arm, or any if None) since the last call is dirty."""
         stations = cell.stations if arm is None else (cell.stations[arm],)
         now = np.array([any(each.rack.holds(place) for each in stations) for place in self._places_m(cell)], dtype=bool)
         if arm is not None:
@@ -53,7 +53,7 @@ class Truth:
         return self.is_dirty[new].tolist()
 
     def add_to(self, rows: list[dict[str, Any]], cell: Workcell) -> None:
-        """Add the truth to the rows of a log: of each object that of the cup that is nearest to it."""
+        """Add the truth to the rows of a log: each object gets the dirtiness of its nearest cup."""
         places_m = self._places_m(cell)
         for row, known in zip(rows, cell.memory.objects, strict=True):
             row["is_dirty"] = bool(self.is_dirty[np.linalg.norm(places_m - known.middle_m, axis=1).argmin()])
@@ -63,7 +63,7 @@ class Truth:
         return not self._on_table(cell).any()
 
     def counts(self, cell: Workcell) -> dict[str, int]:
-        """Count cups, as `Run` has them."""
+        """Count cups for the fields of `Run`."""
         self.newly_racked(cell)
         on_table = self._on_table(cell)
         marked = {
@@ -79,7 +79,7 @@ class Truth:
         return (self._places_m(cell)[:, 2] > TABLE_TOP_M - _ON_TABLE_M) & ~self.is_racked
 
     def _places_m(self, cell: Workcell) -> Points:
-        # A table without cups has places, too: none.
+        # The shape stays (0, 3) for a table without cups.
         return np.array([cell.cell.cup(index).position_m for index in range(len(self.is_dirty))]).reshape(-1, 3)
 
     def _upright(self, cell: Workcell) -> Float[np.ndarray, " N"]:
@@ -87,12 +87,12 @@ class Truth:
 
 
 def luck_of_table(num_dirty: int, num_cups: int, chances: Rows, config: WorldConfig) -> float:
-    """Reward of a table that has more or fewer dirty cups than its first look leads to expect, if all were left.
+    """Luck of a table: reward of leaving all its dirty cups, minus the expectation after the first look.
 
     Parameters
     ----------
     chances
-        P(DIRTY) of the objects of the first look; cups beyond their number are as likely dirty as any.
+        P(DIRTY) of the objects in the first look; further cups have the prior probability.
     """
     unseen = max(num_cups - len(chances), 0)
     expected = float(chances.sum()) + unseen * float(config.dirty_share)
@@ -100,12 +100,12 @@ def luck_of_table(num_dirty: int, num_cups: int, chances: Rows, config: WorldCon
 
 
 def luck_of_washing(washed: list[bool], chance: float, config: WorldConfig) -> float:
-    """Reward of cups that came into the rack beyond what their P(DIRTY) led to expect.
+    """Luck of washing: reward of cups that entered the rack, minus its expectation under their P(DIRTY).
 
     Parameters
     ----------
     washed
-        Of each cup that came into the rack, whether it is dirty.
+        Whether each cup that entered the rack is dirty.
     """
     if_dirty = float(config.reward_wash_dirty) - float(config.reward_dirty_left) - float(config.reward_wash_clean)
     return if_dirty * sum(float(is_dirty) - chance for is_dirty in washed)
@@ -113,26 +113,25 @@ def luck_of_washing(washed: list[bool], chance: float, config: WorldConfig) -> f
 
 @dataclass
 class Run:
-    """What came of one table, by the truth.
+    """Result of one table, by the ground truth.
 
     Attributes
     ----------
     reward
-        Sum of the rewards of the stages that were completed, as the log has them [-].
+        Sum of the rewards of completed stages, as in the log [-].
     luck
-        Part of it that was the luck of which cups were dirty: of the table as it looked at first, and of what was
-        washed in those same stages [-].
+        Part of the reward due to which cups were dirty: of the table at the first look, and of the cups washed in the
+        completed stages [-].
     seconds
-        On the cell's clock [s].
+        Duration on the cell's clock [s].
     verbs, failures
-        How often each verb was tried; and why attempts did not hold.
+        Count of each verb; count of each reason for failed attempts.
     num_cups, num_racked, num_toppled, num_fallen
-        Cups; those in the rack; those left on the table that stood and lie now; those that are neither on the table
-        nor in the rack.
+        Number of cups: all; in a rack; on the table and toppled; neither on the table nor in a rack.
     num_dirty, num_washed
-        Dirty cups, and those of them in the rack.
+        Number of dirty cups, and of those in a rack.
     cause
-        What cut it; None where it came to its own end.
+        Cause of the cut; None if the trajectory finished.
     """
 
     reward: float = 0.0
@@ -150,22 +149,22 @@ class Run:
 
     @property
     def is_seen(self) -> bool:
-        """Whether anything was decided; else it was cut before, and no log holds it."""
+        """Whether any decision was made; otherwise the table was cut before, and is in no log."""
         return bool(self.verbs)
 
 
 @dataclass
 class TeamRun(Run):
-    """What came of one table that several arms cleared.
+    """Result of one table cleared by several arms.
 
     Attributes
     ----------
     num_collisions
-        How often arms, or what they held, touched.
+        Number of collisions between arms or their held objects.
     num_waits, num_deadlocks, num_gave_way, waited_s
-        How they got along, as `halfseen.cell.executor.Tally` has it.
+        Conflicts between arms, as in `halfseen.cell.executor.Tally`.
     busy_s
-        For how long each arm was at WASH or LIFT [s].
+        Time that each arm spent on WASH or LIFT [s].
     """
 
     num_collisions: int = 0
@@ -177,7 +176,7 @@ class TeamRun(Run):
 
 
 class EpisodeStatistics:
-    """Books what a table earns, from before anything happened on; `truth` is which cups are dirty, and where."""
+    """Accumulates the rewards of a table from the start of the episode; `truth` is the ground truth of its cups."""
 
     def __init__(self, run: Run, cell: Workcell, is_dirty: Bool[np.ndarray, " N"], config: WorldConfig) -> None:
         self.run, self.truth = run, Truth(cell, is_dirty)
@@ -187,7 +186,7 @@ class EpisodeStatistics:
         self._at_work = set(range(len(cell.stations)))
 
     def see(self, chances: Rows) -> None:
-        """Book the luck of the table, given P(DIRTY) of the objects of its first look."""
+        """Book the luck of the table, given P(DIRTY) of the objects in its first look."""
         is_dirty = self.truth.is_dirty
         self.run.luck += luck_of_table(int(is_dirty.sum()), len(is_dirty), chances, self._config)
 
@@ -201,7 +200,7 @@ class EpisodeStatistics:
         Parameters
         ----------
         seconds
-            What it took [s].
+            Duration of the attempt [s].
         """
         if not attempt.is_held:
             reason = attempt.reason.split(":")[0].split(";")[0]
@@ -218,15 +217,15 @@ class EpisodeStatistics:
         return sum(earned) if earned else float(config.reward_wash_failed)
 
     def leave(self, arm: int) -> None:
-        """Book that a robot has come to its own end: what is left dirty in its reach is its share; once is enough."""
+        """Book a robot's own end, once: its share includes the dirty cups left within its reach."""
         if arm in self._at_work:
             self._at_work.remove(arm)
             self._own[arm] += float(self._config.reward_dirty_left) * self.truth.num_dirty_left(self._cell, arm)
 
     def pay(self, *, is_over: bool) -> tuple[float, list[float]]:
-        """Complete a stage, of the last of all with what is left dirty: what was earned since the last [-].
+        """Complete a stage and return the reward since the previous one; the last includes dirty cups left [-].
 
-        Beside it what each of several robots would have been paid had it been alone [-]; nothing for one.
+        Also return the reward that each of several robots would have been paid alone [-]; empty for one robot.
         """
         if is_over:
             self._reward += float(self._config.reward_dirty_left) * self.truth.num_dirty_left(self._cell)

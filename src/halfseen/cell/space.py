@@ -1,4 +1,4 @@
-"""The space that arms take, as spheres; who has reserved which; and arms that touch all the same."""
+"""The space that arms occupy, as spheres; their reservations; and collisions that still happen."""
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
@@ -17,19 +17,19 @@ from halfseen.cell.model import Robot
 from halfseen.shapes import Bool, Float
 
 MARGIN_M = 0.04
-"""What the spaces of two arms keep from one another [m]: places along a way are this far apart at the hand, and servos
-are behind."""
+"""Smallest distance between the spaces of two arms [m]; it covers the hand's motion between path points and the servos'
+lag."""
 _SPACING_M = 0.04
-_TURN_RAD = 0.05  # of a joint, between two places of a way at which the space is taken
+_TURN_RAD = 0.05  # largest turn of a joint between two path points at which the space is computed
 _PART_M, _HELD_M = 0.045, 0.065  # radii of the spheres
 _KINDS = mujoco.mjtGeom
 
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """Spheres that hold an arm, place after place of a way.
+    """Spheres that cover an arm at each point of a path.
 
-    `middles_m` are those of the spheres at each place [m]; those that hold what the hand does (`is_held`) are larger.
+    `middles_m` are the centres of the spheres at each point [m]. Spheres of a held object (`is_held`) are larger.
     """
 
     places_rad: Way
@@ -37,11 +37,11 @@ class Space:
     is_held: Bool[np.ndarray, " spheres"]
 
     def after(self, first: int) -> "Space":
-        """What is left of it from a place on."""
+        """The space from path point `first` on."""
         return Space(self.places_rad[first:], self.middles_m[first:], self.is_held)
 
     def joined(self, other: "Space") -> "Space":
-        """Both, of the same arm with the same in its hand."""
+        """Union with another space of the same arm with the same held object."""
         return Space(
             np.concatenate([self.places_rad, other.places_rad]),
             np.concatenate([self.middles_m, other.middles_m]),
@@ -49,7 +49,7 @@ class Space:
         )
 
     def meets(self, other: "Space", margin_m: float = MARGIN_M) -> bool:
-        """Whether the spaces of two arms come nearer to one another than a margin."""
+        """Whether the spaces of two arms are closer than a margin."""
         for mine, radius_m in self._parts():
             tree = KDTree(mine)
             for its, its_radius_m in other._parts():
@@ -65,7 +65,7 @@ class Space:
 
 
 class Outline:
-    """Tells the space of one arm."""
+    """Computes the space of one arm."""
 
     def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
         self._model, self._data = model, mujoco.MjData(model)
@@ -80,14 +80,14 @@ class Outline:
         self._local_m = np.concatenate(parts)
 
     def along(self, begin_rad: Angles, way: Way, below_m: float = 0.0) -> Space:
-        """Give the space of a way.
+        """Compute the space of a path.
 
         Parameters
         ----------
         way
-            Angles to go through; none for the space of an arm that stands.
+            Joint angles along the path [rad]; empty for the space of a still arm.
         below_m
-            How far below the hand what it holds reaches [m]; 0 where it holds nothing.
+            How far the held object reaches below the hand [m]; 0 for an empty hand.
         """
         places = _places(begin_rad, way)
         held_m = np.zeros((0, 3))
@@ -106,7 +106,7 @@ class Outline:
 
 
 def _places(begin_rad: Angles, way: Way) -> Float[np.ndarray, "places J"]:
-    """Places along a way, none farther from the next than a small turn of a joint."""
+    """Path points no farther apart than a small turn of a joint."""
     places, here = [begin_rad], begin_rad
     for there in way:
         num = max(1, int(np.ceil(float(np.abs(there - here).max()) / _TURN_RAD)))
@@ -116,7 +116,7 @@ def _places(begin_rad: Angles, way: Way) -> Float[np.ndarray, "places J"]:
 
 
 def _spheres_m(model: mujoco.MjModel, geom: int) -> Points:
-    """Middles of spheres that hold a part, in its own frame [m]."""
+    """Centres of the spheres that cover a part, in its own frame [m]."""
     kind, size = model.geom_type[geom], model.geom_size[geom]
     half_m = {
         int(_KINDS.mjGEOM_CAPSULE): [0.0, 0.0, size[1]],
@@ -131,7 +131,7 @@ def _spheres_m(model: mujoco.MjModel, geom: int) -> Points:
 
 
 def _line(half_m: float) -> Float[np.ndarray, " n"]:
-    """Middles along one side: what is thinner than a sphere takes one."""
+    """Sphere centres along one side; a side thinner than a sphere takes one."""
     if half_m < 0.5 * _PART_M:
         return np.zeros(1)
     return np.linspace(-half_m, half_m, 1 + int(np.ceil(2 * half_m / _SPACING_M)))
@@ -148,36 +148,36 @@ class Reservations:
         self._below_m = [0.0 for _ in robots]
 
     def space(self, arm: int, way: Way, below_m: float) -> Space:
-        """Space of a way from where an arm is; `way` and `below_m` are those of `Outline.along`."""
+        """Space of a path from an arm's current angles; `way` and `below_m` as for `Outline.along`."""
         return self._outlines[arm].along(self._cell.angles_rad(self._robots[arm]), way, below_m)
 
     def taken(self, arm: int) -> Space:
-        """What an arm has: where it is, and what is left of its way."""
+        """Space held by an arm: its current position and the rest of its path."""
         here_rad = self._cell.angles_rad(self._robots[arm])
         here = self._outlines[arm].along(here_rad, np.zeros((0, len(here_rad))), self._below_m[arm])
         reserved = self._reserved[arm]
-        # It may be a place behind where its servos are commanded to be.
+        # The arm may lag one path point behind its servo commands.
         return here if reserved is None else here.joined(reserved.after(max(self._passed[arm] - 1, 0)))
 
     def in_the_way(self, arm: int, space: Space) -> tuple[int, ...]:
-        """Which other arms have space that one would need."""
+        """Other arms whose space meets the space that an arm requests."""
         others = (other for other in range(len(self._robots)) if other != arm)
         return tuple(other for other in others if self.taken(other).meets(space))
 
     def reserve(self, arm: int, space: Space, below_m: float) -> None:
-        """Give an arm the space of a way, instead of what it had."""
+        """Reserve the space of a path for an arm, in place of its earlier reservation."""
         self._reserved[arm], self._passed[arm], self._below_m[arm] = space, 0, below_m
 
     def let_go(self, arm: int) -> None:
-        """Take from an arm all but where it is."""
+        """Release all of an arm's space except its current position."""
         self._reserved[arm], self._below_m[arm] = None, 0.0
 
     def stand(self, arm: int) -> None:
-        """Take from an arm its way; what it holds stays."""
+        """Release an arm's path, but not the space of its held object."""
         self._reserved[arm] = None
 
     def advance(self, arm: int, angles_rad: Angles) -> None:
-        """Free what lies behind an arm, once its servos are commanded to be somewhere on its way."""
+        """Release the path behind an arm, up to the angles commanded to its servos."""
         reserved = self._reserved[arm]
         if reserved is None:
             return
@@ -197,9 +197,8 @@ _FREE = -1
 class Touches:
     """Counts collisions of arms in a running cell; a `halfseen.cell.live_cell.Watch`.
 
-    A collision is a contact of two arms, of an arm with what another holds, or of what two of them hold, and lasts for
-    as long as they go on touching; `begun_s` are their beginnings [s]. What an arm holds is what both its fingers
-    touch.
+    A collision is a contact between two arms, between an arm and another's held object, or between two held objects. It
+    lasts as long as the contact; `begun_s` are the start times [s]. An arm holds a cup if both its fingers touch it.
     """
 
     def __init__(self, cell: LiveCell, robots: Sequence[Robot]) -> None:
@@ -217,11 +216,11 @@ class Touches:
 
     @property
     def num_collisions(self) -> int:
-        """How many there were."""
+        """Number of collisions so far."""
         return len(self.begun_s)
 
     def __call__(self, cell: LiveCell) -> None:
-        """Look whether arms touch."""
+        """Check for new collisions."""
         now = self._pairs(cell)
         self.begun_s += [cell.time_s] * len(now - self._touching)
         self._touching = now

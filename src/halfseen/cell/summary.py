@@ -1,4 +1,4 @@
-"""What a policy did in physics, in numbers: rewards, cups, failures; and what the simulated world expected."""
+"""Summary of a policy's runs in physics: rewards, cups and failures, and the prediction of the simulated world."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -24,8 +24,8 @@ from halfseen.world.state import pad_scenes
 
 LEVEL = 0.95
 EPISODES_PER_TABLE, EPISODES_OF_A_PLANNER = 200, 4
-"""Episodes of each table that predict what is earned there. In physics there is one: a planner, of which each takes a
-thousand times as long, plays as many as add a fourth to its variance."""
+"""Simulated episodes per table for the prediction. Physics has one per table. A planner's episodes take a thousand
+times as long, so it plays only as many as add a quarter to the variance of that one."""
 _LEAST = 1e-12
 _FEWEST_FINISHED = 2
 _COUNTS = ("num_cups", "num_racked", "num_toppled", "num_fallen", "num_dirty", "num_washed")
@@ -34,30 +34,29 @@ _OF_TEAM = ("num_collisions", "num_waits", "waited_s", "num_deadlocks", "num_gav
 
 @dataclass(frozen=True)
 class Summary:
-    """Of the runs of a policy.
+    """Summary of a policy's runs.
 
     Parameters
     ----------
     reward
-        Mean of a table, cut ones stood for by those that were not; None where fewer than two were not cut.
+        Mean reward per table, with finished tables weighted to represent cut ones; None if fewer than two finished.
     predicted
-        What the simulated world gives for the same tables, as they looked at first; None for several arms.
+        Mean reward of the simulated world on the same tables, as seen in their first look; None for several arms.
     luck
-        How much of the reward was the luck of which cups were dirty: near 0 where P(DIRTY) is calibrated; None
-        as `reward`.
+        Part of the reward due to which cups were dirty; near 0 if P(DIRTY) is calibrated. None as for `reward`.
     without_luck
-        Reward without that luck, which is better known; None as `reward`.
+        Reward minus luck, which has a smaller variance; None as for `reward`.
     gap, gap_without_luck
-        Of the reward, and of the reward without luck, from what was predicted, table by table; None as `reward`. Where
-        P(DIRTY) is not calibrated, the second leaves out what that costs.
+        Mean difference per table of the reward, and of the reward without luck, from the prediction; None as for
+        `reward`. If P(DIRTY) is not calibrated, the second omits the cost of that.
     seconds
-        Mean on the cell's clock [s].
+        Mean duration on the cell's clock [s].
     counts
-        Cups, and what became of them, over all tables.
+        Number of cups and their outcomes, over all tables.
     verbs, failures, causes
-        How often each verb was tried; why attempts did not hold; what cut tables.
+        Counts of verbs, of reasons for failed attempts, and of causes of cuts.
     together
-        How several arms got along, over all tables, as `TeamRun` has it; None for one arm.
+        Conflicts between several arms over all tables, as in `TeamRun`; None for one arm.
     """
 
     reward: Estimate | None
@@ -80,7 +79,7 @@ def summarised(runs: Sequence[Run], logs: Logs, policy: Policy, config: WorldCon
     Parameters
     ----------
     logs
-        What was recorded of them, in the same order; not of those that were cut before anything was decided.
+        Log of the runs, in the same order, without those that were cut before any decision.
     """
     seen = [run for run in runs if run.is_seen]
     rewards, luck = (np.array([getattr(run, name) for run in seen]) for name in ("reward", "luck"))
@@ -108,12 +107,12 @@ def predicted(scenes: Sequence[Scene], policy: Policy, config: WorldConfig, seed
     per_table = EPISODES_OF_A_PLANNER if isinstance(policy, POMDPPolicy) else EPISODES_PER_TABLE
     totals = evaluate(config, pad_scenes(scenes), policy, random.key_of(seed), per_table * len(scenes))
     rewards = np.asarray(totals.reward, dtype=np.float64)
-    # Episodes begin from the tables in turn.
+    # Episodes cycle through the tables.
     return rewards.reshape(per_table, len(scenes)).mean(axis=0)
 
 
 def _weights(runs: Sequence[Run]) -> Rows:
-    """Weights of tables that came to their own end, for those that were cut; they sum to their number."""
+    """Censoring weights of the tables, 0 for cut ones; their mean is 1."""
     is_finished = np.array([run.cause is None for run in runs])
     weights = censoring_weights(np.array([run.seconds for run in runs]), is_finished)
     return weights / max(float(weights.mean()), _LEAST)
@@ -128,7 +127,7 @@ def _mean(values: Rows, weights: Rows) -> Estimate | None:
 
 
 def scenes_of(logs: Logs) -> list[Scene]:
-    """Tables as they looked at first, in the order of the log."""
+    """Tables as seen in their first look, in the order of the log."""
     assert logs.objects is not None, "tables have objects"
     first = pd.DataFrame(logs.objects[logs.objects["stage"] == 1])
     return [

@@ -1,4 +1,4 @@
-"""From what is known in a cell of K arms to the state that a policy decides in, and to the rows of a log."""
+"""Conversion of the knowledge in a cell of K arms into a policy's state and into the rows of a log."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -22,15 +22,15 @@ from halfseen.world.seeing import label_evidence
 from halfseen.world.state import NO_ATTEMPT, Robots, TableState, Workspace
 
 MOST_OBJECTS = 12
-"""States are padded to so many objects, among which anyone who explores draws; tables with more are padded to more."""
+"""States are padded to at least this many objects; exploration draws among all of them."""
 _MOVED_M = 0.03
 
 
 class Belief(NamedTuple):
-    """What the robot believes of the world: it makes chances of what looks and attempts say.
+    """The robot's model of the world, which turns looks and attempts into probabilities.
 
-    `config` has the prior, the law of seeing and the horizon; `grip` says how well an object can be gripped, from what
-    is seen of it.
+    `config` has the prior, the model of seeing and the horizon. `grip` predicts from its facts how well an object can
+    be gripped.
     """
 
     config: WorldConfig
@@ -38,12 +38,12 @@ class Belief(NamedTuple):
 
 
 def no_grip(facts: Facts) -> float:
-    """Give 0: nothing is known of what makes objects hard to grip."""
+    """Return 0: there is no model of what makes objects hard to grip."""
     return 0.0
 
 
 def state_of(memory: Memory, belief: Belief, steps_to_go: int) -> TableState:
-    """Give the state of the table as one robot knows it."""
+    """State of the table as one robot knows it."""
     objects, horizon = memory.objects, belief.config.horizon
     num_more = max(MOST_OBJECTS - len(objects), 0)
     tried = [(k, trial.occlusion, trial.is_held) for k, known in enumerate(objects) for trial in known.trials]
@@ -70,20 +70,20 @@ def state_of(memory: Memory, belief: Belief, steps_to_go: int) -> TableState:
 
 
 def _evidence(known: Known, config: WorldConfig) -> tuple[float, float]:
-    """Log-odds of DIRTY given all labels, and how much of the object counts as seen."""
+    """Log-odds of DIRTY given all labels, and the share of the object that counts as seen."""
     law, seen = known_seeing(config), 0.0
     log_odds = float(np.log(config.dirty_share) - np.log1p(-config.dirty_share))
     for glance in known.glances:
         chances = law.positive(np.float64(glance.occlusion), seen, glance.is_held)
         if not any(chances):
-            continue  # what shows nothing new tells nothing, whatever it says
+            continue  # a look that shows nothing new is no evidence
         log_odds += float(label_evidence(*chances, glance.says_dirty))
         seen = float(law.after(np.float64(glance.occlusion), seen, glance.says_dirty, glance.is_held))
     return log_odds, seen
 
 
 def rows_of(memory: Memory, belief: Belief) -> list[dict[str, Any]]:
-    """Rows of a log for the objects: what a policy saw, what looks and attempts said, and what may make it hard."""
+    """Log rows of the objects: the policy's inputs, the results of looks and attempts, and the facts for grasping."""
     places = [dict(zip(PLACE_COLUMNS, place, strict=True)) for place in memory.places_m().tolist()]
     return [{**_row(number, known, memory, belief), **places[number]} for number, known in enumerate(memory.objects)]
 
@@ -114,20 +114,20 @@ def _row(number: int, known: Known, memory: Memory, belief: Belief) -> dict[str,
 
 @dataclass
 class ArmStatus:
-    """What one arm is doing.
+    """Current activity of one arm.
 
     Attributes
     ----------
     decisions_to_go
-        How many it may still make.
+        Number of decisions left.
     verb, target
-        What it does; None where it is free.
+        Current action; `verb` is None if the arm is free.
     begun_s
-        When it began, on the cell's clock [s].
+        Start of the action on the cell's clock [s].
     is_parked
-        Whether it does nothing more.
+        Whether the arm has finished for good.
     chance
-        P(DIRTY) of the target when it was decided.
+        P(DIRTY) of the target at the decision.
     """
 
     decisions_to_go: int
@@ -139,26 +139,26 @@ class ArmStatus:
 
     @property
     def is_free(self) -> bool:
-        """Whether it is to decide."""
+        """Whether it may decide now."""
         return self.verb is None and not self.is_parked and self.decisions_to_go > 0
 
     @property
     def is_done(self) -> bool:
-        """Whether it has come to its own end."""
+        """Whether it has reached its own end."""
         return self.verb is None and (self.is_parked or self.decisions_to_go == 0)
 
     @property
     def words(self) -> str:
-        """What it does, as a log has it."""
+        """Current action, as written in a log."""
         if self.verb is None:
             return PARKED if self.is_parked else FREE
         return VERB_NAMES[self.verb] + (f" {self.target}" if self.verb in TARGETED else "")
 
 
 class CellState:
-    """The table and the arms of a cell, as its states and its log have them; `arms` are what each arm is doing.
+    """The table and arms of a cell, in the form of states and log rows; `arms` has the activity of each arm.
 
-    The horizon of what is believed is counted in decisions of each arm.
+    The horizon of the belief counts the decisions of each arm.
     """
 
     def __init__(self, cell: Workcell, belief: Belief) -> None:
@@ -169,10 +169,10 @@ class CellState:
         self._too_far: dict[tuple[int, int], Vector] = {}
 
     def learn(self, arm: int, number: int, attempt: Attempt) -> None:
-        """Learn from an attempt what an arm does not reach.
+        """Learn from an attempt which objects an arm cannot reach.
 
-        That it found no grasp within its reach is remembered for as long as the object stays where it is and nothing
-        changes on the table: an arm that was there, and has left, may have been in the way, or has moved what was.
+        A failure for lack of reach is remembered as long as the object stays in place and nothing changes on the table.
+        After another attempt, the obstacle may be gone: it may have been an arm that has left, or a moved object.
         """
         if attempt.kind is not None:
             self._too_far.clear()
@@ -180,7 +180,7 @@ class CellState:
             self._too_far[arm, number] = self.cell.memory.objects[number].middle_m
 
     def state(self, decider: int, decisions_to_go: int) -> TableState:
-        """Give the state that an arm decides in."""
+        """State for the decision of an arm."""
         table = state_of(self.cell.memory, self._belief, decisions_to_go)
         if len(self.arms) == 1:
             return table
@@ -189,7 +189,7 @@ class CellState:
         return replace(table, robots=self._robots(), workspace=Workspace(reached, near), decider=np.int32(decider))
 
     def rows(self) -> list[dict[str, Any]]:
-        """Rows of a log for the objects; of several arms, with who reaches them, what is near, and who tried them."""
+        """Log rows of the objects; with several arms, also the arms that reach or tried them, and objects nearby."""
         rows = rows_of(self.cell.memory, self._belief)
         if len(self.arms) > 1:
             reached, near = self.is_in_reach(), self.is_near()
@@ -200,7 +200,7 @@ class CellState:
         return rows
 
     def columns(self) -> dict[str, Any]:
-        """What a stage of the log holds of several arms, as `halfseen.world.logs` has it."""
+        """Columns of a stage in the log of several arms, as in `halfseen.world.logs`."""
         columns: dict[str, Any] = {}
         for number, arm in enumerate(self.arms if len(self.arms) > 1 else ()):
             columns |= {f"{number}_does": arm.words, f"{number}_since_s": self._since_s(arm)}
@@ -208,7 +208,7 @@ class CellState:
         return columns
 
     def is_in_reach(self) -> Bool[np.ndarray, "K N"]:
-        """Which objects each arm reaches."""
+        """Mask of the objects within each arm's reach."""
         bases_m = np.array([station.robot.base_m[:2] for station in self.cell.stations])
         apart_m = np.linalg.norm(self._places_m()[None] - bases_m[:, None], axis=-1)
         reached = apart_m <= np.array([station.reach_m for station in self.cell.stations])[:, None]
@@ -218,7 +218,7 @@ class CellState:
         return reached
 
     def is_near(self) -> Bool[np.ndarray, "N N"]:
-        """Which objects are too near to one another for two arms at once."""
+        """Mask of the object pairs too close together for two arms at once."""
         places_m = self._places_m()
         return np.linalg.norm(places_m[:, None] - places_m[None], axis=-1) < CLEARANCE_M
 
@@ -240,6 +240,6 @@ class CellState:
         return 0.0 if arm.verb is None else self.cell.cell.time_s - arm.begun_s
 
     def in_words(self) -> str:
-        """What all arms are doing, for people."""
+        """Description of the current actions of all arms."""
         names = [station.robot.name for station in self.cell.stations]
         return "; ".join(f"{name}: {arm.words}" for name, arm in zip(names, self.arms, strict=True))

@@ -1,6 +1,7 @@
-"""A cell at work: robots look, fetch what they see, and put it back or into the rack.
+"""A working cell: robots look, fetch the objects that they see, and put them back or into the rack.
 
-With several robots a look leaves out what an arm cuts, and what is not in view is fetched as it was seen last.
+With several robots, a look excludes objects that an arm partly hides. An object out of view is fetched from its last
+sighting.
 """
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
@@ -34,11 +35,11 @@ from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table
 from halfseen.shapes import Bool, Float
 
 SETTLE_S = 0.3
-MOST_TAKEN = 4  # plans whose way another robot takes, before the best of them is waited for
+MOST_TAKEN = 4  # plans blocked by another robot that are tried before waiting for the best of them
 
 
 class _Sight(NamedTuple):
-    """An object as a look showed it, and that look."""
+    """An object as a look showed it, and the view from that look."""
 
     seen: SeenObject
     view: View
@@ -46,28 +47,28 @@ class _Sight(NamedTuple):
 
 
 class Workcell:
-    """One table, one robot or several.
+    """One table with one or several robots.
 
     Parameters
     ----------
     table
-        The cups, where they begin, and the camera.
+        The cups, their initial poses, and the camera.
     rng
-        Draws the sensor's noise, the error of the camera's place, where plans begin, and when the camera is lost.
+        Draws the sensor's noise, the camera's pose error, the start angles of plans, and when the camera is lost.
     surfaces
-        What is on the walls of each cup; None where colour gives no labels.
+        Stains on the walls of each cup; None if colour gives no labels.
     stations
-        Who works, each with a rack of its own.
+        The robots, each with its own rack.
     frictions
-        Of each cup on pads [-]; None for the usual one.
+        Friction of each cup on the pads [-]; None for the default.
     grasping
-        Which grasps are thought of: a name of `GRASPING`.
+        How candidate grasps are generated: a key of `GRASPING`.
     labeller
-        What tells dirty from clean.
+        Labels objects as dirty or clean.
     errors
-        How far the camera is from where the robot believes it.
+        Error of the camera pose that the robot assumes.
     stops
-        What stops the cell; None for nothing.
+        Conditions that stop the cell; None for none.
 
     Raises
     ------
@@ -79,13 +80,13 @@ class Workcell:
     memory
         What the robot knows.
     view, cloud
-        What the last look showed, and what the camera returned; None before the first.
+        Perceived view and point cloud of the last look; None before the first.
     planned
-        How the object of each robot's last attempt was to be fetched; None where there was no way, or no attempt.
+        Plan of each robot's last attempt; None if there was no plan or no attempt.
     in_hand
-        Objects on which hands have closed, by the number of the robot.
+        Objects on which hands have closed, by robot number.
     cell, table, surfaces
-        The running cell, and what it was made of: the truth, which no decision may look at.
+        The running cell and its ground truth, which no decision may use.
     """
 
     def __init__(
@@ -133,27 +134,27 @@ class Workcell:
 
     @property
     def rack(self) -> Rack:
-        """Its rack."""
+        """The first robot's rack."""
         return self.stations[0].rack
 
     @property
     def world_from_table(self) -> Float[np.ndarray, "4 4"]:
-        """Takes homogeneous points of the table, as seen, to where the robot believes them [m]."""
+        """Transform of homogeneous points from the perceived table to the world that the robot assumes [m]."""
         assert self.view is not None, "look first"
         return self._believed.matrix @ self.view.cloud_from_table
 
     def look(self) -> View:
-        """Look at the table, and remember what is seen."""
+        """Look at the table and update the memory."""
         look = self._eye.look(self._rng)
         return self._take_in(look.cloud, look.robots_m)
 
     def lift(self, number: int) -> Attempt:
-        """Attempt to lift an object; it is turned before the camera and put back where it was.
+        """Attempt to lift an object, turn it in front of the camera, and put it back where it was.
 
         Parameters
         ----------
         number
-            Of the object, as in `memory`.
+            Number of the object in `memory`.
 
         Raises
         ------
@@ -163,11 +164,11 @@ class Workcell:
         return self.cell.carry_out(self.robot, self.lifting(number))
 
     def wash(self, number: int) -> Attempt:
-        """Attempt to put an object into the rack; its number, and what stops it, are as for `lift`."""
+        """Attempt to put an object into the rack; parameter and errors as for `lift`."""
         return self.cell.carry_out(self.robot, self.washing(number))
 
     def lifting(self, number: int, arm: int = 0) -> Activity[Attempt]:
-        """Do what `lift` does, command by command, with the robot of a number."""
+        """Do what `lift` does, command by command, with robot number `arm`."""
         known, robot = self.memory.objects[number], self.stations[arm].robot
         sight = self._sight(number)
         attempt, done = yield from self._fetched(number, arm)
@@ -175,7 +176,7 @@ class Workcell:
             labels: list[bool | None] = []
 
             def look_at(side: int) -> None:
-                # It may have to give way before: an object that showed no side does not count as lifted.
+                # The arm may have to give way first. An object that showed no side does not count as lifted.
                 known.lifts += side == 0
                 labels.append(self._label_of_held(known, sight.seen, arm, is_first=side == 0))
 
@@ -186,7 +187,7 @@ class Workcell:
         return attempt
 
     def washing(self, number: int, arm: int = 0) -> Activity[Attempt]:
-        """Do what `wash` does, command by command, with the robot of a number."""
+        """Do what `wash` does, command by command, with robot number `arm`."""
         known = self.memory.objects[number]
         attempt, done = yield from self._fetched(number, arm)
         if done is None or not attempt.is_held:
@@ -206,11 +207,11 @@ class Workcell:
         return attempt
 
     def _put_away(self, arm: int, done: Plan, middle_m: Vector) -> Activity[int]:
-        """Put what a robot holds into a free slot of its rack; which one it took."""
+        """Put the held object into a free slot of the robot's rack and return the slot."""
         robot, rack = self.stations[arm].robot, self.stations[arm].rack
         used, slots_m = self._used_slots[arm], rack.slots_m
         free = [slot for slot in range(len(slots_m)) if slot not in used] or [len(used) % len(slots_m)]
-        # A robot that is alone takes the next one or none.
+        # A single robot tries only the next free slot.
         choice = free if len(self.stations) > 1 else free[:1]
         for slot in choice:
             try:
@@ -225,13 +226,13 @@ class Workcell:
         raise AssertionError("the last slot is taken or refused")
 
     def _put_back(self, arm: int, done: Plan, *, has_way: bool) -> Activity[None]:
-        """Put back what a robot holds, which may have been given the way there already."""
+        """Put the held object back; `has_way` is true if the way back is already reserved."""
         robot = self.stations[arm].robot
         if not has_way:
             way = fetching.with_home(self.cell, robot, done.way_back)
             yield Reserve(way, way, below_m=done.below_m)
         yield from fetching.put_down(done)
-        # It stands on the table from now on: a look meanwhile would take it for another object.
+        # The object is on the table from now on. Otherwise a look would take it for another object.
         self.in_hand.pop(arm)
         yield from fetching.draw_back(self.cell, robot, done)
 
@@ -254,14 +255,14 @@ class Workcell:
         return self.view
 
     def _is_in_hand(self, cloud: Cloud, arm: int) -> Bool[np.ndarray, " n"]:
-        """Which points of a cloud belong to what an arm holds."""
+        """Mask of the cloud points that belong to the object in an arm's hand."""
         plan, robot = self.planned[arm], self.stations[arm].robot
         assert plan is not None, "it was fetched"
         hand = self.cell.kinematics[robot.name].hand(self.cell.angles_rad(robot))
         return fetching.is_in_hand(self._believed.apply(cloud.points_m), hand, plan)
 
     def _label_of_held(self, known: Known, before: SeenObject, arm: int, *, is_first: bool) -> bool | None:
-        """What one side of what is held looks like; at the first side, see what it hid, too."""
+        """Label one side of a held object; at the first side, also take in what the object had hidden."""
         look = self._eye.look(self._rng)
         cloud = look.cloud
         is_held = self._is_in_hand(cloud, arm)
@@ -275,14 +276,14 @@ class Workcell:
         return label.is_dirty
 
     def _fetched(self, number: int, arm: int) -> Activity[tuple[Attempt, Plan | None]]:
-        """Try to fetch an object; the hand is home again, and open, where it holds nothing."""
+        """Try to fetch an object; if the grasp fails, the hand opens and returns home."""
         occlusion, robot = self.memory.occlusion(number), self.stations[arm].robot
         known, self.planned[arm] = self.memory.objects[number], None
         try:
             planned = self.planned[arm] = yield from self._free_plan(number, arm)
         except PlanError as error:
             is_too_far = isinstance(error, OutOfReachError)
-            # Where another robot may reach it, this tells nothing of the object.
+            # If another robot may reach the object, this failure is no evidence about it.
             if not (is_too_far and len(self.stations) > 1):
                 known.trials.append(Trial(occlusion, False, 0.0, arm))
             return Attempt(False, 0.0, None, str(error), is_too_far=is_too_far), None
@@ -306,7 +307,7 @@ class Workcell:
         return Attempt(is_held, duration_s, planned.grasp.kind, reason), planned
 
     def _free_plan(self, number: int, arm: int) -> Activity[Plan | None]:
-        """The best plan whose way no other robot takes; of those that are taken the best, when it is free at last."""
+        """The best plan not blocked by another robot; if all are blocked, the best plan once its way is free."""
         first: Plan | None = None
         for found in islice(self._plans(number, arm), MOST_TAKEN):
             first = first or found
@@ -327,6 +328,6 @@ class Workcell:
         return plans(grasps, sight.world_from_table, self.cell.kinematics[robot.name], begin_rad, self._rng)
 
     def _sight(self, number: int) -> _Sight | None:
-        """The last look that showed an object; with one robot only if that is the last of all."""
+        """The last sighting of an object; a single robot uses only sightings from the latest look."""
         is_now = self.memory.objects[number].seen is not None
         return self._sights.get(number) if is_now or len(self.stations) > 1 else None

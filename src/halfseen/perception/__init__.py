@@ -1,10 +1,10 @@
-"""What a depth camera sees on a table: cloud → table plane → objects → who hides whom.
+"""Perception of a table from a depth camera: cloud → table plane → objects → mutual occlusion.
 
-Read down: `clouds` (a depth camera, and what it returned), `frames` (which camera a pixel grid shows, and which frame
-points are in), `pcd`, `cloud_files` (the files that hold them) → `range_image` → `plane` (the table) → `objects`
-(sheets above it) → `solids` (what completes them), `walls` (by how much points miss them), `marquardt` (making that
-small), `vessel_fits` → `grouping` (sheets → objects) → `occlusion` (silhouettes, hidden ends, and who hides whom) →
-`view` (all of it) → `picture`, `tracking` (which object is which of the look before); `labels` (what looks dirty).
+Reading order: `clouds` (depth cameras and their point clouds), `frames` (the camera of a pixel grid and the frame of
+the points), `pcd`, `cloud_files` (file formats) → `range_image` → `plane` (the table) → `objects` (sheets above it) →
+`solids` (completed shapes), `walls` (residuals of points), `marquardt` (least squares), `vessel_fits` → `grouping`
+(sheets → objects) → `occlusion` (silhouettes, hidden ends, and who hides whom) → `view` (the whole pipeline) →
+`picture`, `tracking` (matching of objects between looks); `labels` (which objects look dirty).
 """
 
 from halfseen.perception.cloud_files import read_cloud

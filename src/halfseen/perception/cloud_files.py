@@ -1,6 +1,6 @@
-"""Files that hold clouds: NPZ with a depth image, PLY, and `halfseen.perception.pcd`; read by what their name ends in.
+"""Point-cloud files: NPZ with a depth image, PLY, and PCD (`halfseen.perception.pcd`), chosen by the file extension.
 
-Of PLY, colours are read if there are some, and the camera's pose and pixel grid where PCL wrote them.
+From PLY, colours are read if present, and the camera's pose and pixel grid if PCL wrote them.
 """
 
 import io
@@ -20,7 +20,7 @@ from halfseen.shapes import Shaped
 
 
 def read_npz(path: Path) -> Cloud:
-    """Read ``depth_m`` [m] and ``K`` [px], and ``rgb``, uint8, if it is there.
+    """Read ``depth_m`` [m] and ``K`` [px], and ``rgb`` (uint8) if present.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def read_npz(path: Path) -> Cloud:
     Raises
     ------
     CloudError
-        The file is cut short, lacks an array, or holds one of another kind.
+        The file is truncated, lacks an array, or has one of the wrong type or shape.
     """
     try:
         there = names_in_archive(path, CLOUD)
@@ -61,7 +61,7 @@ def read_npz(path: Path) -> Cloud:
 # A header has a few dozen lines.
 MOST_HEADER_BYTES = 10**6
 COLOURS = ("red", "green", "blue")
-# Of an element ``camera``: its place, and the rows of the matrix that turns its axes into the frame of the place.
+# Properties of an element ``camera``: its position, and the rows of the matrix from its axes to the position's frame.
 EYE = ("view_px", "view_py", "view_pz")
 AXES = tuple(f"{row}_axis{column}" for row in "xyz" for column in "xyz")
 VIEWPORT = ("viewporty", "viewportx")
@@ -69,7 +69,7 @@ SAME_AXES = 1e-3
 
 
 def read_ply(path: Path) -> Cloud:
-    """Read the vertices, their red, green and blue if they have all three, and an element ``camera`` if there is one.
+    """Read the vertices, their colours if red, green and blue are present, and an element ``camera`` if present.
 
     Parameters
     ----------
@@ -79,15 +79,15 @@ def read_ply(path: Path) -> Cloud:
     Raises
     ------
     CloudError
-        There are no vertices with coordinates, their colours are of another kind than uchar, or the camera is none.
+        There are no vertices with coordinates, their colours are not uchar, or the camera's pose is invalid.
     """
     from plyfile import PlyData
 
-    # From memory: plyfile maps files that it opens itself, and keeps them open.
+    # Read from memory: plyfile maps files that it opens itself and keeps them open.
     content = read_bytes(path, CLOUD)
     _check_counts(content, path)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of lists of nothing, in text
+        warnings.simplefilter("ignore", UserWarning)  # about empty lists in text files
         ply = PlyData.read(io.BytesIO(content))
     if "vertex" not in ply or not {"x", "y", "z"} <= set(ply["vertex"].data.dtype.names):
         raise CloudError(f"{path}: has no element 'vertex' with x, y and z; export it as a point cloud in metres")
@@ -105,7 +105,7 @@ def read_ply(path: Path) -> Cloud:
 def _camera(
     element: Shaped[np.ndarray, " cameras"], num_points: int, path: Path
 ) -> tuple[tuple[int, int] | None, Viewpoint]:
-    """Rows and columns of the pixel grid, if all of it is there, and the pose."""
+    """Rows and columns of the pixel grid, if it is complete, and the pose."""
     names = element.dtype.names or ()
     if len(element) != 1 or not {*EYE, *AXES} <= set(names):
         return None, OWN
@@ -126,7 +126,7 @@ def _is_rotation(axes: Rotation) -> bool:
 
 
 def _check_counts(content: bytes, path: Path) -> None:
-    """Refuse a header that announces more rows than there are bytes: memory would be asked for all of them."""
+    """Refuse a header that declares more rows than the file has bytes, as memory would be allocated for all of them."""
     header = content[: content.find(b"end_header")][:MOST_HEADER_BYTES].decode("ascii", errors="replace")
     for line in header.splitlines():
         word, _, rest = line.strip().partition(" ")
@@ -167,16 +167,16 @@ def read_cloud(path: str | os.PathLike[str]) -> Cloud:
     Returns
     -------
     Cloud
-        Organised if the file is. Points stay in the frame of the file. Where it says a viewpoint, which is the pose of
-        the camera, points may be in its frame or in the camera's: the pixel grid tells which, and of points without
-        one, from where a camera could see them all. A comment ``points_frame camera`` or ``points_frame viewpoint``
-        in the header settles it.
+        Organised if the file is. Points stay in the frame of the file. If it has a viewpoint, that is the pose of the
+        camera, and points may be in the viewpoint's frame or in the camera's. The pixel grid decides, or, without one,
+        from which pose a camera could see all points. A header comment ``points_frame camera`` or ``points_frame
+        viewpoint`` overrides this.
 
     Raises
     ------
     CloudError
-        It is in doubt which frame the points are in; or the file is missing, of another kind, cut short or broken, or
-        holds not one point.
+        The frame of the points is ambiguous; or the file is missing, of an unknown type, truncated or corrupt, or has
+        no finite point.
     """
     path = Path(path)
     reader = _READERS.get(path.suffix.lower())
@@ -190,7 +190,7 @@ def read_cloud(path: str | os.PathLike[str]) -> Cloud:
         raise
     except OSError as error:
         raise CloudError(f"{path}: cannot be read: {reason_of(error)}") from error
-    except Exception as error:  # parsers of broken files raise nearly anything
+    except Exception as error:  # parsers raise almost any exception on corrupt files
         raise CloudError(
             f"{path}: not a whole {path.suffix.lower()} file: {reason_of(error)}; record or export it again"
         ) from error

@@ -1,4 +1,4 @@
-"""Depth cameras, how far they err; and point clouds: what one of them returned."""
+"""Depth cameras with their noise, and the point clouds that they return."""
 
 from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias, runtime_checkable
@@ -9,15 +9,15 @@ from halfseen.arrays import Image, Intrinsics, Points, RowMask
 from halfseen.errors import CloudError
 from halfseen.shapes import Float, Shaped, UInt8
 
-# A table is nearer than this to the camera, and all that returns is nearer than that [m].
+# Largest median distance and largest distance of points from the camera [m].
 LARGEST_MEDIAN_DISTANCE_M, LARGEST_DISTANCE_M = 50.0, 1000.0
-# Of a pinhole matrix; images are a few thousand pixels wide [px].
+# Largest entry of a pinhole matrix; images are a few thousand pixels wide [px].
 LARGEST_INTRINSIC_PX = 1e6
 
-# What is nearer to the eye than this came of a ray without return, in single precision [m]; and axes are as exact.
+# Points closer to the eye than this are rays without return, in single precision [m]; also the tolerance of axes.
 SAME_PLACE_M = SAME_AXES = 1e-6
 
-# Of a file; the largest depth cameras have 5 million pixels. Looking at so many takes 1 GB.
+# Largest number of points in a file; the largest depth cameras have 5 million pixels. Perceiving as many takes 1 GB.
 MOST_POINTS = 6_000_000
 
 Vector: TypeAlias = Float[np.ndarray, "3"]
@@ -28,7 +28,7 @@ Picture: TypeAlias = UInt8[np.ndarray, "H W 3"]
 
 @runtime_checkable
 class DepthSensor(Protocol):
-    """What perception needs to know of a depth camera."""
+    """The properties of a depth camera that perception needs."""
 
     def noise_m(self, depth_m: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
         """Return the standard deviation of a depth [m], positive.
@@ -43,16 +43,16 @@ class DepthSensor(Protocol):
 
 @dataclass(frozen=True)
 class DisparitySensor:
-    """A depth camera whose error grows with the square of the distance, as structured light and stereo do.
+    """A depth camera whose error grows with the square of the distance, as in structured light and stereo.
 
-    They measure disparity: an error of it becomes an error of depth that grows with depth².
+    Such cameras measure disparity; a constant disparity error causes a depth error proportional to depth².
 
     Parameters
     ----------
     noise_at_one_metre_m
         Standard deviation of a depth of 1 m [m].
     smallest_noise_m
-        Standard deviation that no depth goes below, however near [m].
+        Smallest standard deviation of any depth [m].
     """
 
     noise_at_one_metre_m: float
@@ -64,8 +64,8 @@ class DisparitySensor:
 
 
 XTION = DisparitySensor(noise_at_one_metre_m=0.003, smallest_noise_m=0.001)
-"""The Asus Xtion and its kin, the first Kinect among them, whose coefficients [KhoshelhamOudeElberink2012]_ measured;
-rounded up for edges and dark surfaces."""
+"""The Asus Xtion and similar cameras such as the first Kinect, with coefficients measured by
+[KhoshelhamOudeElberink2012]_, rounded up for edges and dark surfaces."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +75,8 @@ class Cloud:
     Parameters
     ----------
     points_m
-        Points in the camera frame, x right, y down, z forward, or in another one [m]. A ray without return is a row of
-        NaN, so that unknown stays apart from absent. Rows that are not finite, or exactly at the origin or the eye,
-        count as no return.
+        Points in the camera frame (x right, y down, z forward) or in another one [m]. A ray without return is a row of
+        NaN: unknown, not empty. Rows that are not finite, or exactly at the origin or the eye, count as no return.
     shape
         Rows and columns of the image [px] when the points are organised row by row, else None.
     intrinsics
@@ -85,17 +84,17 @@ class Cloud:
     name
         Where the cloud comes from, for reports.
     eye_m
-        Where the camera stands in the frame of the points [m]; the origin in a camera frame.
+        Position of the camera in the frame of the points [m]; the origin in a camera frame.
     colours
         Red, green and blue of each point, returned or not; None if the camera sees no colour.
     camera_axes
-        Columns: the camera's right, down and forward in the frame of the points; those of a camera frame by default.
+        Columns are the camera's right, down and forward axes in the frame of the points; the identity by default.
 
     Raises
     ------
     CloudError
-        The axes are not square to one another; shape, colours and number of points disagree; distances are none in
-        metres; or the pinhole matrix is not finite or has no positive focal lengths.
+        The axes are not a rotation; shape, colours and number of points disagree; distances cannot be in metres; or the
+        pinhole matrix is not finite or has no positive focal lengths.
     """
 
     points_m: Points
@@ -137,12 +136,12 @@ class Cloud:
     def from_depth(
         cls, depth_m: Image, K: Intrinsics, name: str = "depth image", picture: Picture | None = None
     ) -> "Cloud":
-        """Lift a depth image through a pinhole camera.
+        """Back-project a depth image through a pinhole camera.
 
         Parameters
         ----------
         depth_m
-            Distance along the optical axis of each pixel [m]; 0, negative or not finite where nothing returned.
+            Depth of each pixel along the optical axis [m]; 0, negative or not finite where nothing returned.
         K
             Pinhole matrix [px].
         name
@@ -172,12 +171,12 @@ class Cloud:
 
 
 def returned(points_m: Points, eye_m: Vector) -> RowMask:
-    """Which points returned: those that are finite, and neither at the origin nor at the eye.
+    """Mask of the points that returned: those that are finite, and neither at the origin nor at the eye.
 
     Parameters
     ----------
     points_m, eye_m
-        Points, and where the camera stands in their frame [m].
+        Points, and the position of the camera in their frame [m].
     """
     apart_m = SAME_PLACE_M * max(1.0, float(np.abs(eye_m).max())) if eye_m.any() else 0.0
     with np.errstate(invalid="ignore"):  # signalling NaN
@@ -186,7 +185,7 @@ def returned(points_m: Points, eye_m: Vector) -> RowMask:
 
 
 def _check_metres(from_eye: Points, name: str) -> None:
-    """Refuse distances that no depth camera measures [m]."""
+    """Refuse distances beyond the range of a depth camera [m]."""
     is_return = np.isfinite(from_eye[:, 0])
     if not is_return.any() or np.nanmax(np.abs(from_eye)) <= LARGEST_MEDIAN_DISTANCE_M:
         return
@@ -205,12 +204,12 @@ def _check_metres(from_eye: Points, name: str) -> None:
 
 
 def check_num_points(num_points: int, name: str) -> None:
-    """Refuse more points than a depth camera returns, before memory is asked for them.
+    """Refuse more points than a depth camera returns, before memory is allocated for them.
 
     Parameters
     ----------
     num_points
-        How many a file announces, or holds.
+        Number of points that a file declares or contains.
     name
         Where they come from.
 
@@ -227,19 +226,19 @@ def check_num_points(num_points: int, name: str) -> None:
 
 
 def check_intrinsics(K: Shaped[np.ndarray, "..."], name: str) -> None:
-    """Refuse a matrix that is no pinhole camera's.
+    """Refuse a matrix that is not a pinhole matrix.
 
     Parameters
     ----------
     K
-        What stands for the pinhole matrix [px].
+        Candidate pinhole matrix [px].
     name
         Where it comes from.
 
     Raises
     ------
     CloudError
-        It is not 3 by 3 and finite, or has no positive focal lengths.
+        The matrix is not 3 by 3 and finite, or its focal lengths are not positive.
     """
     if K.shape != (3, 3) or K.dtype.kind not in "fiu" or not np.isfinite(K).all():
         raise CloudError(f"{name}: the pinhole matrix K is {K.tolist()}; it must be 3 by 3 and finite, in pixels")

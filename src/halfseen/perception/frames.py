@@ -1,10 +1,10 @@
-"""Which frame the points of a file are in, where it says a viewpoint: the camera's own, or that of the viewpoint.
+"""The frame of the points in a file with a viewpoint: the camera's own, or that of the viewpoint.
 
-A viewpoint is the pose of the camera. By its definition the points are in the frame in which that pose is given; but
-many programs store the points of the camera's frame beside it. The pixel grid of an organised cloud tells which: seen
-from where the camera stood, each point lies on the ray of its pixel. Points without a grid are in the frame from which
-alone a camera could see them all; where it could from both, in that in which neighbouring rays are equally far apart.
-Where that leaves a doubt, the file is refused, unless it has a comment that says which.
+A viewpoint is the pose of the camera. By definition, points are in the frame in which that pose is given, but many
+programs store points in the camera's frame with it. The pixel grid of an organised cloud resolves this: from the
+camera's position, each point lies on the ray of its pixel. Points without a grid are in the frame in which a camera
+could see all of them; if both frames qualify, in the one in which neighbouring rays are equally spaced. If the frame
+remains ambiguous, the file is refused, unless a comment states the frame.
 """
 
 from typing import NamedTuple
@@ -21,9 +21,9 @@ from halfseen.shapes import Float, Int
 
 # Largest distance between a point and its pixel's ray that still counts as a pinhole image [px].
 LARGEST_REPROJECTION_PX = 2.0
-# Fewest returns from which a camera can be worked out [points], and how many take part where a few will do.
+# Fewest returns from which a camera can be estimated [points], and the number used if a sample is enough.
 FEWEST_RETURNS, NUM_ASKED = 200, 4000
-# Rows and columns of a pinhole's pixels are square to one another, to this share of the focal length.
+# Largest skew of a pinhole camera, as a share of the focal length.
 LARGEST_SKEW = 0.02
 
 Pixels = Float[np.ndarray, "n 2"]
@@ -35,13 +35,13 @@ class Pinhole(NamedTuple):
     intrinsics: Intrinsics
     """Pinhole matrix [px]."""
     axes: Float[np.ndarray, "3 3"]
-    """Its right, down and forward axes as columns; they are mirrored where the points, or the columns, are."""
+    """Its right, down and forward axes as columns; mirrored if the points or the image columns are."""
     misfit_px: float
-    """Median distance between a point and its pixel's ray; infinite if this is no camera [px]."""
+    """Median distance between a point and its pixel's ray [px]; infinite if this is not a camera."""
 
     @property
     def is_camera(self) -> bool:
-        """Whether points lie on the rays of their pixels."""
+        """Whether the points lie on the rays of their pixels."""
         return self.misfit_px <= LARGEST_REPROJECTION_PX
 
 
@@ -51,7 +51,7 @@ NO_CAMERA = Pinhole(np.eye(3), np.eye(3), np.inf)
 def pixels_of_returns(
     points_m: Points, shape: tuple[int, int], most: int | None = None
 ) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 2"]]:
-    """Points that returned, and the column and row of each.
+    """Points that returned, and the column and row of each pixel.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def pixels_of_returns(
     shape
         Rows and columns of the image [px].
     most
-        About so many at most, from all over the image; None for all.
+        Approximate largest number, spread over the image; None for all.
     """
     pixels: Int[np.ndarray, " k"] = np.flatnonzero(np.isfinite(points_m[:, 2]))
     pixels = pixels[:: 1 if most is None else max(1, len(pixels) // most)]
@@ -73,7 +73,7 @@ def misfit_px(points_m: Points, at_px: Pixels, K: Intrinsics) -> float:
     Parameters
     ----------
     points_m, at_px, K
-        Points in the camera's frame [m], where each is in the image, and the pinhole matrix [px].
+        Points in the camera's frame [m], their pixels, and the pinhole matrix [px].
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         seen = points_m @ K.T
@@ -82,12 +82,12 @@ def misfit_px(points_m: Points, at_px: Pixels, K: Intrinsics) -> float:
 
 
 def aligned_pinhole(points_m: Points, at_px: Pixels) -> Pinhole:
-    """Camera whose axes are those of the points, up to their signs.
+    """Estimate a camera whose axes are those of the points, up to their signs.
 
     Parameters
     ----------
     points_m, at_px
-        Points from the camera's place [m], and where each is in the image.
+        Points relative to the camera's position [m], and their pixels.
     """
     forward = -1.0 if np.count_nonzero(points_m[:, 2] < 0) > 0.5 * len(points_m) else 1.0
     is_before = forward * points_m[:, 2] > 0
@@ -105,12 +105,12 @@ def aligned_pinhole(points_m: Points, at_px: Pixels) -> Pinhole:
 
 
 def turned_pinhole(points_m: Points, at_px: Pixels) -> Pinhole:
-    """Camera whose axes are any, by the direct linear transformation [HartleyZisserman2004]_, section 4.1.
+    """Estimate a camera with arbitrary axes by the direct linear transformation [HartleyZisserman2004]_, section 4.1.
 
     Parameters
     ----------
     points_m, at_px
-        Points from the camera's place [m], and where each is in the image.
+        Points relative to the camera's position [m], and their pixels.
     """
     if len(points_m) < FEWEST_RETURNS:
         return NO_CAMERA
@@ -132,52 +132,52 @@ def turned_pinhole(points_m: Points, at_px: Pixels) -> Pinhole:
     return NO_CAMERA if is_none else Pinhole(K, axes, misfit)
 
 
-# What moves no point by more is none [m].
+# A viewpoint that moves no point by more than this is the camera frame [m].
 LEAST_MOVE_M = 1e-3
-# One frame is right if points miss the rays of their pixels there by less than this share of what they do in the other.
+# A frame is chosen if the misfit of points to their pixels' rays is less than this share of that in the other frame.
 CLEAR_SHARE = 0.5
-# Nearly all that a camera sees is within this angle of where it looks.
+# Nearly all points of a camera are within this angle of its optical axis.
 WIDEST_COSINE, NEARLY_ALL = float(np.cos(np.deg2rad(60.0))), 0.99
-# Rays of a pixel grid: of so large a share the nearest neighbour is as far as the median, to this share of it.
+# Rays form a pixel grid if at least this share has a nearest neighbour at the median distance, to this tolerance.
 GRID_SHARE, GRID_TOLERANCE = 0.5, 0.02
 SMALLEST_QUATERNION = 1e-6
 
 CAMERA, VIEWPOINT = "camera", "viewpoint"
 FRAME_COMMENT = "points_frame"
-"""Comment of a header, before ``camera`` or ``viewpoint``: in which frame the points are."""
+"""Header comment for the frame of the points, followed by ``camera`` or ``viewpoint``."""
 
 
 class Viewpoint(NamedTuple):
     """Pose of a camera in the frame of its points."""
 
     eye_m: Vector
-    """Where it stands [m]."""
+    """Position of the camera [m]."""
     axes: Rotation
     """Its right, down and forward axes as columns."""
 
     def seen(self, points_m: Points) -> Points:
-        """Points in the frame of the camera [m]."""
+        """Transform points into the frame of the camera [m]."""
         return (points_m - self.eye_m) @ self.axes
 
 
 OWN = Viewpoint(np.zeros(3), np.eye(3))
-"""Of points in the frame of the camera."""
+"""Viewpoint of points in the frame of the camera."""
 
 
 def viewpoint_of(numbers: list[float], name: str) -> Viewpoint:
-    """Pose of a camera, as a place and a quaternion.
+    """Pose of a camera from a position and a quaternion.
 
     Parameters
     ----------
     numbers
-        x, y and z [m], and, if it is known how the camera is turned, w, x, y and z of a quaternion of any length but 0.
+        x, y and z [m] and, if the orientation is known, w, x, y and z of a quaternion of any length but 0.
     name
         Where they come from.
 
     Raises
     ------
     CloudError
-        There are others, one is not finite, or the quaternion is of zeros.
+        The count of numbers is wrong, one is not finite, or the quaternion is zero.
     """
     place, quaternion = np.array(numbers[:3]), np.array(numbers[3:] or [1.0, 0.0, 0.0, 0.0])
     length = float(np.linalg.norm(quaternion)) if len(numbers) in (3, 7) and np.isfinite(numbers).all() else 0.0
@@ -208,23 +208,23 @@ def camera_of(
     Parameters
     ----------
     points_m, shape
-        Points of a file [m], and rows and columns of their grid [px]; None without one.
+        Points of a file [m], and rows and columns of their grid [px]; None without a grid.
     viewpoint
-        Pose of the camera that the file says.
+        Pose of the camera from the file.
     name
         Where they come from.
     frame
-        ``camera`` or ``viewpoint`` where the file says in which frame the points are.
+        ``camera`` or ``viewpoint`` if the file states the frame of the points; None otherwise.
 
     Returns
     -------
     Viewpoint
-        `OWN` or the one that is given.
+        `OWN` or `viewpoint`.
 
     Raises
     ------
     CloudError
-        They may be in either frame, or can be in neither, or the comment says another.
+        The points may be in either frame, cannot be in either, or the comment states an unknown frame.
     """
     if frame is not None:
         if frame not in (CAMERA, VIEWPOINT):
@@ -245,7 +245,7 @@ def camera_of(
 
 
 def _by_grid(points_m: Points, shape: tuple[int, int], viewpoint: Viewpoint) -> list[Viewpoint] | None:
-    """Poses from which points lie on the rays of their pixels; None if they do from neither."""
+    """Poses from which points lie on the rays of their pixels; None if from neither."""
     poses, (asked, at_px) = [OWN, viewpoint], pixels_of_returns(points_m, shape, NUM_ASKED)
     for pinhole in (aligned_pinhole, turned_pinhole):
         seen = [pinhole(pose.seen(asked), at_px) for pose in poses]
@@ -257,7 +257,7 @@ def _by_grid(points_m: Points, shape: tuple[int, int], viewpoint: Viewpoint) -> 
 
 
 def _by_sight(points_m: Points, viewpoint: Viewpoint) -> list[Viewpoint]:
-    """Poses from which a camera could see all points; of two, that which sees them on a grid of rays."""
+    """Poses from which a camera could see all points; if there are two, the one with a grid of rays."""
     poses = [pose for pose in (OWN, viewpoint) if _is_in_sight(points_m, pose)]
     on_grid = [pose for pose in poses if len(poses) > 1 and _is_grid(pose.seen(points_m))]
     return on_grid if len(on_grid) == 1 else poses
@@ -267,7 +267,7 @@ def _is_in_sight(points_m: Points, pose: Viewpoint) -> bool:
     seen = pose.seen(points_m)
     ray = seen / np.linalg.norm(seen, axis=1, keepdims=True)
     cosines = [ray[:, 2]]
-    if pose is not OWN and np.array_equal(pose.axes, np.eye(3)):  # It may not be known how the camera is turned.
+    if pose is not OWN and np.array_equal(pose.axes, np.eye(3)):  # The camera's orientation may be unknown.
         middle = ray.mean(axis=0)
         cosines.append(ray @ middle / max(float(np.linalg.norm(middle)), 1e-9))
     return any(np.mean(cosine > WIDEST_COSINE) > NEARLY_ALL for cosine in cosines)

@@ -1,4 +1,4 @@
-"""From sheets to objects: a vessel shows its outer and its inner wall as two sheets, an occluder cuts a wall in two."""
+"""Grouping of sheets into objects: a vessel's outer and inner walls are two sheets, and an occluder splits a wall."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,58 +25,58 @@ from halfseen.perception.vessel_fits import (
 )
 from halfseen.shapes import Float
 
-# A fit whose mean cost is worse is no vessel: residuals of 8 mm everywhere.
+# A fit with a larger mean cost is not a vessel: residuals of 8 mm everywhere.
 WORST_VESSEL_MISFIT = 3.2
-# A standing vessel that fits so well leaves nothing to ask.
+# A standing vessel with a smaller misfit is accepted without further checks.
 STANDING_MISFIT = 0.35
-# A fit that is worse than this may be that of a vessel on its handle, if that halves the cost.
+# A larger misfit may be that of a vessel lying on its handle, if that model halves the cost.
 HANDLE_MISFIT, HANDLE_GAIN = 1.6, 0.5
-# Fewer points show no vessel.
+# Fewest points of a vessel.
 FEWEST_OF_VESSEL = 8
-# What a plane fits this much better than a vessel is the face of a box.
+# If a plane fits this much better than a vessel, the object is a face of a box.
 FLAT_GAIN = 0.5
-# Points that carry a hull; more change no pixel of it.
+# Number of points of a hull; more do not change its pixels.
 NUM_HULL_POINTS = 2000
-# A sheet whose vessel fits worse may show two.
+# A sheet whose vessel has a larger misfit may show two vessels.
 DOUBTFUL_VESSEL_MISFIT = 2.0
-# A vessel whose fit is better is sure enough to claim what lies inside it.
+# A vessel with a smaller misfit may claim pieces inside it.
 SURE_VESSEL_MISFIT = 1.5
-# Pieces farther apart than the walls of a wide cup are not tried together [m].
+# Pieces farther apart than the walls of a wide cup are never merged [m].
 FARTHEST_PIECES_M = 0.12
-# What is nearer or farther by this much is so however a distance is rounded [m].
+# Rounding tolerance of distances [m].
 SURE_M = 1e-9
-# Two pieces are walls of one vessel if the points of each lie this near to one common wall: mean robust cost.
+# Two pieces are walls of one vessel if the points of each lie this close to a common wall: mean robust cost.
 JOINT_MISFIT = 1.3
-# ... which is tried only if half of one is this near to the wall that the other shows [m]; a fit takes time.
+# ... which is fitted only if half of one piece is this close to the wall of the other [m], to save time,
 SAME_WALL_M = 0.035
-# ... and no more than this share of the vessel's picture shows something behind it.
+# ... and if at most this share of the vessel's pixels shows something behind it.
 LARGEST_CONTRADICTION = 0.12
-# A piece is inside a solid if this share of its points is no farther outside than the noise [m].
+# A piece is inside a solid if this share of its points is no farther outside than the noise [m]
 INSIDE_SHARE = 0.7
 INSIDE_M = 0.006
-# ... and this near to the wall or the bottom [m]: what is deep inside a vessel, above its bottom, is another thing.
+# ... and this close to the wall or the bottom [m]. Points deep inside a vessel, above its bottom, are another object.
 AT_WALL_M = 0.012
-# What is seen of a handle starts near the wall, reaches no farther than this, and is no wider, noise included [m]; it
-# is smaller than this share of the body.
+# The visible part of a handle starts this close to the wall, reaches this far, and is this wide at most, including
+# noise [m]; it is smaller than this share of the body.
 HANDLE_START_M = 0.025
 HANDLE_REACH_M = 0.055
 HANDLE_WIDTH_M = 0.025
 HANDLE_SHARE = 0.4
 # Smaller patches are flying pixels [m²]: a cup shows 4 cm² when five sixths of it are hidden.
 SMALLEST_OBJECT_M2 = 3.5e-4
-# Lower things are print, cloth or cards [m].
+# Lower objects are print, cloth or cards [m].
 LOWEST_TOP_M = 0.011
-# An object whose contact with the image border is longer than this share of the root of its area is cut [1].
+# An object is cut if its contact with the image border is longer than this share of the square root of its area [1].
 CUT_SHARE = 0.5
 BORDER_PX = 3
-# Surfaces of a table of things, and pairs of them to which a common wall is fitted; crowded tables have a dozen of
-# either. Stripes, checks and noise have hundreds, and a fit takes time.
+# Largest numbers of pieces and of joint fits; crowded tables have a dozen of either. Stripes, checks and noise have
+# hundreds, and fits take time.
 MOST_PIECES, MOST_JOINT_FITS = 150, 100
 
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """Sheets of one object; its points are in an order of chance, so that every thinning covers all of them."""
+    """Sheets of one object; its points are in random order, so that any subsample covers all of them."""
 
     sheets: tuple[int, ...]
     points_m: Points
@@ -84,17 +84,17 @@ class _Piece:
 
     @cached_property
     def thin_m(self) -> Points:
-        """Some of its points."""
+        """A subsample of its points."""
         return thinned(self.points_m)
 
     @cached_property
     def box_m(self) -> tuple[Vector, Vector]:
-        """Lowest and highest coordinates of these."""
+        """Lowest and highest coordinates of the subsample."""
         return self.thin_m.min(axis=0), self.thin_m.max(axis=0)
 
     @cached_property
     def solid(self) -> Vessel | Hull:
-        """Its completed shape, fitted when it is first asked for: some pieces are merged before."""
+        """Its completed shape, fitted on first use, as some pieces are merged before."""
         return completed([self.points_m])[0] if self.given is None else self.given
 
 
@@ -106,7 +106,7 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
     sheets
         Sheet of each pixel; −1 where there is none.
     plane, image
-        The table and what the camera sees.
+        The table and the range image.
 
     Returns
     -------
@@ -120,7 +120,7 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
     Raises
     ------
     ValueError
-        The sheets are far more, or belong together in far more ways, than those of a table of things.
+        There are far more sheets, or far more candidate pairs of them, than on a table of objects.
     """
     num_sheets = int(sheets.max()) + 1
     if num_sheets > MOST_PIECES:
@@ -145,7 +145,7 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
 
 
 def _pieces(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[Labels, list[_Piece]]:
-    """Make a piece of each sheet; one that is no vessel and shows two is divided."""
+    """Make a piece of each sheet; a sheet that is not one vessel but shows two is divided."""
     sheets, points_m, pieces = sheets.copy(), image.points_m.reshape(-1, 3), []
     of_sheet = pixels_of(sheets)
     sets = [plane.table_points(points_m[pixels]) for pixels in of_sheet]
@@ -163,7 +163,7 @@ def _pieces(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[Labels, li
 
 
 def completed(sets: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Vessel | Hull]:
-    """Complete what is seen of each object: the vessel that fits best, or the hull if none fits.
+    """Complete the shape of each object: the vessel that fits best, or the hull if none fits.
 
     Parameters
     ----------
@@ -187,25 +187,25 @@ def completed(sets: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Vessel | Hull]:
 
 
 def _is_vessel(vessel: Vessel, points_m: Points) -> bool:
-    """Whether a vessel fits well, and a plane no better by far; one that stands and fits leaves nothing to ask."""
+    """Whether a vessel fits well and a plane does not fit much better; a good standing fit needs no further checks."""
     if vessel.is_upright and vessel.misfit < STANDING_MISFIT:
         return True
     return vessel.misfit < WORST_VESSEL_MISFIT and flat_misfit(points_m) > FLAT_GAIN * vessel.misfit
 
 
 def _is_low(lying: Vessel, points_m: Points) -> bool:
-    """Whether nothing is higher than a lying vessel can be: a tall bottle is none, however well its face fits."""
+    """Whether no point is too high for the lying vessel; a tall bottle is not one, however well its face fits."""
     widest = lying.radius_m + abs(lying.slope) * max(np.abs(lying.ends_m))
     return bool(np.percentile(points_m[:, 2], 98) < 2 * widest + HANDLE_REACH_M)
 
 
 def _spread(points_m: Points) -> Points:
-    """Put points into a fixed order that spreads them, so that every thinning covers all of them."""
+    """Shuffle points with a fixed seed, so that any subsample covers all of them."""
     return points_m[np.random.default_rng(0).permutation(len(points_m))]
 
 
 def _merged(pieces: list[_Piece], sheets: Labels, plane: Plane, image: RangeImage) -> list[_Piece]:
-    """Merge pairs until none belongs together; the largest pieces take first."""
+    """Merge pairs until none belongs together, starting from the largest piece."""
     pieces = sorted(pieces, key=lambda piece: -len(piece.points_m))
     apart: set[tuple[_Piece, _Piece]] = set()
     i = num_fits = 0
@@ -226,7 +226,7 @@ def _merged(pieces: list[_Piece], sheets: Labels, plane: Plane, image: RangeImag
 
 
 def _candidates(large: _Piece, others: Sequence[_Piece], num_fitted: int) -> list[tuple[_Piece, _Piece | None, bool]]:
-    """Put each piece together with another, up to the first that surely belongs; the others are fitted together."""
+    """Join a piece with each of the others, up to the first certain match; uncertain joints are fitted in one batch."""
     pairs: list[tuple[_Piece, _Piece | None, bool]] = []
     for small in others:
         pairs.append((small, *_candidate(large, small)))
@@ -240,7 +240,7 @@ def _candidates(large: _Piece, others: Sequence[_Piece], num_fitted: int) -> lis
 
 
 def _candidate(large: _Piece, small: _Piece) -> tuple[_Piece | None, bool]:
-    """Put two pieces together, and say whether they are surely one object; None if they are two."""
+    """Join two pieces, and return whether they are certainly one object; None if they are two."""
     if not _is_near(large, small):
         return None, False
     if _is_handle(small, large):
@@ -255,7 +255,7 @@ def _joint(large: _Piece, small: _Piece, given: Vessel | Hull | None = None) -> 
 
 
 def _is_one(large: _Piece, small: _Piece, joint: _Piece, sheets: Labels, plane: Plane, image: RangeImage) -> bool:
-    """Whether two pieces are walls of one vessel, which is fitted to both."""
+    """Whether two pieces are walls of one vessel, fitted to both."""
     solid = joint.solid
     if not isinstance(solid, Vessel) or solid.misfit > SURE_VESSEL_MISFIT:
         return False
@@ -265,7 +265,7 @@ def _is_one(large: _Piece, small: _Piece, joint: _Piece, sheets: Labels, plane: 
 
 
 def _is_near(large: _Piece, small: _Piece) -> bool:
-    """Whether some points of two pieces are near to one another; boxes around them, and one point, mostly tell."""
+    """Whether some points of two pieces are close together; their boxes, or one point, usually suffice to decide."""
     one, other, (low, high), (other_low, other_high) = large.thin_m, small.thin_m, large.box_m, small.box_m
     apart = np.maximum(low - other_high, other_low - high)
     if np.linalg.norm(np.maximum(apart, 0.0)) > FARTHEST_PIECES_M + SURE_M:
@@ -290,13 +290,13 @@ def _is_near_wall(piece: _Piece, other: _Piece) -> bool:
 
 
 def _is_claimed(piece: _Piece, other: _Piece) -> bool:
-    """Whether a piece is inside the vessel that another piece shows, if that is sure."""
+    """Whether a piece is inside the vessel of another piece, and that vessel fits well enough."""
     vessel = other.solid
     return isinstance(vessel, Vessel) and vessel.misfit < SURE_VESSEL_MISFIT and _is_inside(piece, vessel)
 
 
 def _is_inside(piece: _Piece, vessel: Vessel) -> bool:
-    """Whether a piece is the inner wall or an end of a vessel: solids never share room."""
+    """Whether a piece is the inner wall or an end of a vessel; solids never overlap."""
     points = piece.thin_m
     outside, along = vessel.outside_m(points), vessel.along_m(points)
     low, high = vessel.ends_m
@@ -325,7 +325,7 @@ def _is_handle(small: _Piece, large: _Piece) -> bool:
 
 
 def _contradiction(vessel: Vessel, own: PixelMask, sheets: Labels, plane: Plane, image: RangeImage) -> float:
-    """Share of a vessel's picture at which something behind it is seen, or the table where its wall should be."""
+    """Share of a vessel's pixels that show something behind it, or the table instead of its wall."""
     asked = covered(vessel, plane, image)
     asked = asked[~own.ravel()[asked]]
     points_m = image.points_m.reshape(-1, 3)[asked]

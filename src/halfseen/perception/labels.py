@@ -1,6 +1,6 @@
-"""Labels: which objects look dirty, from the colours in view of each, or from a file; and how much of each was in view.
+"""Labels: which objects look dirty, from their visible colours or from a file, and how much of each was in view.
 
-A file, CSV or JSON with an entry an object, is for anyone who labels by other means than colour.
+A CSV or JSON file with one entry per object supports labels from sources other than colour.
 """
 
 import csv
@@ -21,7 +21,7 @@ from halfseen.shapes import Bool, Float, UInt8
 
 
 def pixel_colours(image: RangeImage, cloud: Cloud) -> Picture:
-    """Give each pixel the colour of the point that it shows: the nearest of those that fall into it.
+    """Give each pixel the colour of its point, the nearest of those that project into it.
 
     Parameters
     ----------
@@ -46,17 +46,17 @@ def pixel_colours(image: RangeImage, cloud: Cloud) -> Picture:
         return np.where(image.is_return[..., None], cloud.colours.reshape(*cloud.shape, 3), np.uint8(0))
     shown = np.flatnonzero(image.pixel_of_point >= 0)
     seen_m = (cloud.points_m[shown] - cloud.eye_m) @ image.cloud_from_camera
-    # The nearest comes last, and stays; equal depths are told apart as in the range image.
+    # The nearest point comes last and is kept; ties in depth are broken as in the range image.
     order = shown[np.lexsort((seen_m[:, 1], seen_m[:, 0], seen_m[:, 2]))[::-1]]
     picture = np.zeros((image.depth_m.size, 3), dtype=np.uint8)
     picture[image.pixel_of_point[order]] = cloud.colours[order]
     return picture.reshape(*image.depth_m.shape, 3)
 
 
-# From one side, a camera sees half of the outside of a wall, and of its inside what the mouth shows: of walls inside
-# and out this share, in the mean over cups that nothing hides.
+# Share of a cup's walls, inside and out, that faces a camera, on average over unoccluded cups: half of the outside, and
+# the part of the inside that shows through the mouth.
 FACING_SHARE = 0.3
-# Added to a channel before its logarithm is taken, so that the noise of dark pixels does not pass for colour.
+# Added to a channel before the logarithm, so that the noise of dark pixels does not look like colour.
 _NOISE = 6.0
 
 WORDS = {True: "dirty", False: "clean", None: "unknown"}
@@ -64,18 +64,18 @@ WORDS = {True: "dirty", False: "clean", None: "unknown"}
 
 @dataclass(frozen=True)
 class Label:
-    """What a look says of an object's hidden attribute.
+    """A look's label of an object's hidden attribute.
 
     Parameters
     ----------
     is_dirty
-        What it looks like; None if that cannot be told: too little of it was in view, or it has a pattern.
+        Whether it looks dirty; None if unknown, because too little of it was in view or it has a pattern.
     share_in_view
-        Share of its walls, inside and out, that was in view, in [0, 1]; None if nobody said.
+        Share of its walls, inside and out, that was in view, in [0, 1]; None if unknown.
     num_stained_px
-        How many of its pixels look stained.
+        Number of its pixels that look stained.
     num_seen_px
-        How many of its pixels were in view.
+        Number of its pixels in view.
     """
 
     is_dirty: bool | None
@@ -91,7 +91,7 @@ class Label:
 
 @runtime_checkable
 class Labeller(Protocol):
-    """Whatever labels the objects of a view, such as a `StainCounter` or a function of one's own."""
+    """Labels the objects of a view; a `StainCounter`, for example, or a user's function."""
 
     def __call__(self, view: View, cloud: Cloud) -> Sequence[Label]:
         """Label each object of a view.
@@ -99,36 +99,36 @@ class Labeller(Protocol):
         Parameters
         ----------
         view
-            What `perceive` saw in the cloud.
+            View of the cloud from `perceive`.
         cloud
             The cloud.
 
         Returns
         -------
         Sequence of Label
-            One an object, in the order of `View.objects`.
+            One per object, in the order of `View.objects`.
         """
         ...
 
 
 @dataclass(frozen=True)
 class StainCounter:
-    """Counts the stained pixels of each object; one with enough of them is dirty.
+    """Labels an object as dirty if it has enough stained pixels.
 
-    The hue of a colour is the logarithms of its channels less their mean, which light and shade do not change. A pixel
-    is stained if it is darker than the object's median, and its hue is nearer to that of a stain than to the object's
-    own, the median over its pixels, by a margin that noise rarely crosses. On a glaze as brown as a stain no stain is
-    seen. An object half of whose pixels are farther than the margin from that median has a pattern, and no hue of its
-    own to tell stains from: it is not labelled.
+    The hue of a colour is the logarithms of its channels minus their mean; it does not depend on light and shade. A
+    pixel is stained if it is darker than the object's median, and its hue is closer to that of a stain than to the
+    object's own hue, the median over its pixels, by a margin that noise rarely exceeds. A stain on a glaze of the same
+    brown is not detected. If half of an object's pixels are farther than the margin from that median, the object has a
+    pattern and no hue of its own to compare with stains; it is not labelled.
 
     Parameters
     ----------
     fewest_px
-        So many stained pixels make an object dirty; one with fewer pixels in view is not labelled [px].
+        Number of stained pixels from which an object is dirty; one with fewer visible pixels is not labelled [px].
     stain
         Red, green and blue of a stain, in any light.
     margin
-        How much nearer a pixel's hue must be to the stain's, as a distance of logarithms.
+        Required difference between a pixel's distances to its object's hue and to the stain's, in logarithms.
     """
 
     fewest_px: int = 12
@@ -136,7 +136,7 @@ class StainCounter:
     margin: float = 0.15
 
     def __call__(self, view: View, cloud: Cloud) -> tuple[Label, ...]:
-        """Label each object of a view by its colours."""
+        """Label each object of a view from its colours."""
         picture = pixel_colours(view.image, cloud).reshape(-1, 3)
         return tuple(self._label(seen, picture[seen.pixels]) for seen in view.objects)
 
@@ -147,7 +147,7 @@ class StainCounter:
         return Label(is_dirty, share_in_view(seen), num_stained, len(colours))
 
     def is_patterned(self, colours: UInt8[np.ndarray, "px 3"]) -> bool:
-        """Whether one object has no hue of its own.
+        """Whether an object has no hue of its own.
 
         Parameters
         ----------
@@ -158,7 +158,7 @@ class StainCounter:
         return bool(np.median(np.linalg.norm(hues - np.median(hues, axis=0), axis=1)) > self.margin)
 
     def is_stained(self, colours: UInt8[np.ndarray, "px 3"]) -> Bool[np.ndarray, " px"]:
-        """Which pixels of one object are stained.
+        """Mask of the stained pixels of an object.
 
         Parameters
         ----------
@@ -174,19 +174,19 @@ class StainCounter:
 def _hues_and_lightness(
     colours: UInt8[np.ndarray, "px 3"],
 ) -> tuple[Float[np.ndarray, "px 3"], Float[np.ndarray, " px"]]:
-    """Logarithms of the channels less their mean, and that mean."""
+    """Logarithms of the channels minus their mean, and that mean."""
     logarithms = np.log(colours + _NOISE)
     lightness = logarithms.mean(axis=1)
     return logarithms - lightness[:, None], lightness
 
 
 def share_in_view(seen: SeenObject) -> float:
-    """Share of an object's walls, inside and out, that is in view: what faces the camera and is not hidden.
+    """Share of an object's walls, inside and out, that is in view: facing the camera and not hidden.
 
     Parameters
     ----------
     seen
-        An object, taken for a cup.
+        An object, assumed to be a cup.
     """
     return FACING_SHARE * (1.0 - seen.occlusion)
 
@@ -197,18 +197,18 @@ _OF_WORD = {word: is_dirty for is_dirty, word in WORDS.items()}
 
 @dataclass(frozen=True)
 class LabelFile:
-    """Labels objects as a file says (a `Labeller`); what was in view it takes from the view, unless the file says.
+    """Labels objects from a file (a `Labeller`); shares in view come from the view unless the file gives them.
 
     Parameters
     ----------
     path
-        As `read_labels` takes it.
+        File for `read_labels`.
     """
 
     path: Path
 
     def __call__(self, view: View, cloud: Cloud) -> tuple[Label, ...]:
-        """Label each object of a view as the file says."""
+        """Label each object of a view from the file."""
         labels = read_labels(self.path, len(view.objects))
         return tuple(
             replace(label, share_in_view=share_in_view(seen)) if label.share_in_view is None else label
@@ -217,14 +217,14 @@ class LabelFile:
 
 
 def labels_of(view: View, cloud: Cloud, file: Path | None = None) -> Sequence[Label] | None:
-    """Label what is seen: as a file says, else by colour; None where there is neither.
+    """Label the objects of a view from a file if given, otherwise by colour; None if there is neither.
 
     Parameters
     ----------
     view, cloud
-        The cloud, and what was seen in it.
+        The view and its cloud.
     file
-        Labels, as `read_labels` takes them.
+        File of labels for `read_labels`.
 
     Raises
     ------
@@ -242,10 +242,10 @@ def read_labels(path: str | os.PathLike[str], num_objects: int) -> tuple[Label, 
     Parameters
     ----------
     path
-        ``.csv`` with columns ``object``, ``label`` (dirty, clean or unknown) and, if wanted, ``share_in_view``, in
+        ``.csv`` with columns ``object``, ``label`` (dirty, clean or unknown) and, optionally, ``share_in_view``, in
         [0, 1]; or ``.json``, a list of objects with these keys.
     num_objects
-        How many objects there are.
+        Number of objects.
 
     Returns
     -------
@@ -255,7 +255,7 @@ def read_labels(path: str | os.PathLike[str], num_objects: int) -> tuple[Label, 
     Raises
     ------
     ArgumentError
-        The file cannot be read, or a row is wrong, missing or there twice; file and row are named.
+        The file cannot be read, or a row is invalid, missing or duplicate; the message names file and row.
     """
     path = Path(path)
     labels: dict[int, Label] = {}

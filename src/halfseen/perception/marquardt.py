@@ -1,11 +1,11 @@
-"""Fits of a few parameters to many points, many fits side by side: damped Gauss–Newton [Marquardt1963]_.
+"""Batched robust fits of a few parameters to many points: damped Gauss–Newton [Marquardt1963]_.
 
-A point's residual r counts as 2·(√(1 + r²) − 1): square where small, linear where large. Curvature is that of the
-robust cost along r [TriggsEtAl2000]_; damping follows the gain of a step beside what was hoped for [Nielsen1999]_.
-Parameters are held to their bounds; one that is on a bound, and would leave it, takes no part in a step.
+A point's residual r has cost 2·(√(1 + r²) − 1): quadratic for small r, linear for large r. The curvature is that of the
+robust cost along r [TriggsEtAl2000]_; the damping follows the ratio of actual to predicted gain [Nielsen1999]_.
+Parameters stay within their bounds; one at a bound that would leave it is fixed for the step.
 
-Fits take hundreds of steps of few parameters a cloud, so that the calls to NumPy count, and not the sums: all fits of a
-kind go on together, and shapes are checked where these come in.
+A cloud takes hundreds of steps with few parameters, so the number of NumPy calls dominates the run time. All fits of a
+kind therefore run in one batch, and shapes are checked only by the callers.
 """
 
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ import numpy as np
 from halfseen.arrays import Rows
 from halfseen.shapes import Bool, Float
 
-# Relative changes of cost and parameters below which a fit has settled.
+# Relative changes of cost and parameters below which a fit has converged.
 TOLERANCE = 1e-6
-# Residuals are asked for so many times at most.
+# Largest number of evaluations of the residuals.
 MOST_EVALUATIONS = 60
-# Damping to begin with, relative to the curvature; beyond the largest nothing moves.
+# Initial damping relative to the curvature, and the damping beyond which a fit stops.
 FIRST_DAMPING, LARGEST_DAMPING = 1.0, 1e10
 SMALLEST = 1e-300
 
@@ -32,20 +32,20 @@ Slopes: TypeAlias = Float[np.ndarray, "k p rows"]
 
 @runtime_checkable
 class Misses(Protocol):
-    """What is fitted: k sets of parameters, each beside points of its own."""
+    """Residuals of a batch of k fits, each with its own parameters and points."""
 
     def at(self, p: Frees) -> tuple[Residuals, Slopes]:
-        """Residuals with these parameters, and how each parameter changes them, in memory of their own."""
+        """Residuals at these parameters and their Jacobian, in new arrays."""
         ...
 
     def some(self, which: Bool[np.ndarray, " k"]) -> Any:
-        """Keep some of the sets."""
+        """Keep some of the fits."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Bounds:
-    """Smallest and largest value of each parameter; infinite where there is none."""
+    """Lower and upper bound of each parameter; infinite if there is none."""
 
     low: Free
     high: Free
@@ -58,9 +58,9 @@ def fitted(misses: Misses, starts: Frees, bounds: Bounds) -> Frees:
     Parameters
     ----------
     misses
-        What is fitted.
+        Residuals of the fits.
     starts, bounds
-        Where the parameters begin, and what they are held to.
+        Initial parameters and their bounds.
     """
     fits = _Fits(misses, np.clip(starts, bounds.low, bounds.high), bounds)
     found = fits.p.copy()
@@ -76,7 +76,7 @@ def fitted(misses: Misses, starts: Frees, bounds: Bounds) -> Frees:
 
 @no_type_check
 class _Fits:
-    """Fits that go on: parameters, cost, slope and curvature, and by how much the next step is damped."""
+    """State of the unconverged fits: parameters, cost, gradient, curvature, and damping of the next step."""
 
     def __init__(self, misses: Misses, p: Frees, bounds: Bounds) -> None:
         self.misses, self.p, self.bounds, self.which = misses, p, bounds, np.arange(len(p))
@@ -84,7 +84,7 @@ class _Fits:
         self.cost, self.curvature, self.slope = _quadratic(*misses.at(p))
 
     def go_on(self) -> Bool[np.ndarray, " k"]:
-        """Try a step each, and keep those that gain; say which have settled."""
+        """Try a step of each fit, keep those that reduce the cost, and return which fits have converged."""
         there = self.p + _step(self.p, self.curvature, self.slope, self.damping, self.bounds)
         there = np.minimum(np.maximum(there, self.bounds.low), self.bounds.high)
         step = there - self.p
@@ -106,7 +106,7 @@ class _Fits:
         return is_settled
 
     def keep(self, which: Bool[np.ndarray, " k"]) -> None:
-        """Go on with some alone."""
+        """Continue with only some of the fits."""
         self.misses = self.misses.some(which)
         for name in ("p", "which", "damping", "growth", "cost", "curvature", "slope"):
             setattr(self, name, getattr(self, name)[which])
@@ -114,7 +114,7 @@ class _Fits:
 
 @no_type_check
 def _step(p: Frees, curvature, slope, damping, bounds: Bounds) -> Frees:
-    """Step of each set, with more of its own curvature the larger the damping."""
+    """Damped Gauss–Newton step of each fit; damping scales the diagonal of the curvature."""
     matrix, num_free = curvature.copy(), p.shape[1]
     own = matrix.reshape(len(p), -1)[:, :: num_free + 1]
     own *= 1 + damping[:, None]
@@ -129,7 +129,7 @@ def _step(p: Frees, curvature, slope, damping, bounds: Bounds) -> Frees:
 
 @no_type_check
 def _quadratic(residuals: Residuals, slopes: Slopes) -> tuple[Rows, Any, Frees]:
-    """Robust cost of each set, half a sum of squares where residuals are small; its curvature and slope."""
+    """Robust cost of each fit (half the sum of squares for small residuals), its curvature and gradient."""
     root = np.sqrt(1 + residuals * residuals)
     inverse = 1 / root
     cost = (root - 1).sum(axis=1)
@@ -139,11 +139,11 @@ def _quadratic(residuals: Residuals, slopes: Slopes) -> tuple[Rows, Any, Frees]:
 
 
 def soft_l1(residuals: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Robust square of residuals.
+    """Robust cost 2·(√(1 + r²) − 1) of residuals.
 
     Parameters
     ----------
     residuals
-        In units of the noise.
+        Residuals in units of the noise.
     """
     return 2 * (np.sqrt(1 + residuals**2) - 1)

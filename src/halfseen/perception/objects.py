@@ -1,4 +1,4 @@
-"""What stands on the table: pixels above the plane, grouped into sheets of continuous depth."""
+"""Sheets on the table: pixels above its plane, grouped into surfaces of continuous depth."""
 
 import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
@@ -12,22 +12,22 @@ from halfseen.perception.plane import Plane, is_on_plane
 from halfseen.perception.range_image import Pixels, RangeImage
 from halfseen.shapes import Bool, Float, Int
 
-# Points lower than this over the table are table: cloth, warp of the lens [m]; farther away, so many sigmas of noise.
+# Lower points are table (cloth, lens distortion) [m]; so are points lower than this many standard deviations of noise.
 LOWEST_OBJECT_M = 0.008
 LOWEST_OBJECT_SIGMAS = 2.0
-# Higher points are no part of what stands on a table (lamps, people) [m].
+# Higher points are not objects on a table (lamps, people) [m].
 HIGHEST_OBJECT_M = 0.5
-# Neighbouring pixels with a larger step in depth show different surfaces: a wall seen at 80° steps by 6 px widths [m].
+# Neighbouring pixels with a larger depth step show different surfaces; a wall seen at 80° steps by 6 px widths [m].
 DEPTH_STEP_M = 0.008
 DEPTH_STEP_SIGMAS = 3.0
-# Sheets with fewer pixels are flying pixels at edges [px], per square metre at a distance of 1 m [m²].
+# Sheets with fewer pixels are flying pixels at edges [px].
 SMALLEST_SHEET_PX = 30
-# Cells of the table's top, and the widest stripe without return (shadow, gloss) that the table continues across [m].
+# Cell size of the table's grid [m], and the widest gap without return (shadow, gloss) within the table [cells].
 TABLE_CELL_M = 0.01
 TABLE_GAP_CELLS = 3
-# Farther from the middle of a plane than this is no table; a single pixel far off would ask for cells up to there [m].
+# Largest reach of a table from its middle [m]; it keeps stray pixels from enlarging the grid.
 TABLE_REACH_M = 10.0
-# An object may overhang the part of the table that is seen [m]; its pixels on the table must be at least this share.
+# An object may overhang the visible table by this [m]; at least this share of its pixels must be on the table.
 OVERHANG_M = 0.01
 SMALLEST_SHARE_ON_TABLE = 0.5
 
@@ -40,7 +40,7 @@ def sheets_on_table(image: RangeImage, plane: Plane) -> Labels:
     Parameters
     ----------
     image, plane
-        What the camera sees and the table's plane.
+        The range image and the table's plane.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def sheets_on_table(image: RangeImage, plane: Plane) -> Labels:
 
 
 def relabelled(labels: Labels, kept: list[int]) -> Labels:
-    """Give the labels that are kept the numbers from 0, in the order given; the others become −1.
+    """Renumber the kept labels from 0 in the given order; all others become −1.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def relabelled(labels: Labels, kept: list[int]) -> Labels:
 
 
 def pixels_of(labels: Labels) -> list[Pixels]:
-    """Flat indices of the pixels of each label, rising.
+    """Flat indices of the pixels of each label, in increasing order.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def _continuous(image: RangeImage, above: Pixels) -> Labels:
 
 
 def _largest_first(labels: Int[np.ndarray, " above"], fewest_px: int) -> Int[np.ndarray, " above"]:
-    """Number labels from the largest on; those of fewer pixels become −1."""
+    """Renumber labels by size, largest first; labels with too few pixels become −1."""
     counts = np.bincount(labels)
     order = np.argsort(-counts, kind="stable")
     kept = order[counts[order] >= fewest_px]
@@ -146,14 +146,14 @@ def _table_outline(image: RangeImage, plane: Plane, height_m: Image) -> Float[np
 
 
 def _near(across_m: Float[np.ndarray, "2 n"]) -> Float[np.ndarray, "2 k"]:
-    """Leave out what is far from the middle; where no two points are so far apart, nothing is."""
+    """Drop points far from the middle; return the input if no two points are that far apart."""
     if not across_m.size or np.ptp(across_m, axis=1).max() < TABLE_REACH_M:
         return across_m
     return across_m[:, (np.abs(across_m - np.median(across_m, axis=1, keepdims=True)) < TABLE_REACH_M).all(axis=0)]
 
 
 def _cells(place_m: Rows) -> tuple[Int[np.ndarray, " n"], int, int]:
-    """Cell of each place along one axis, how many cells there are, a margin included, and which is the first."""
+    """Cell of each position along one axis, the number of cells including a margin, and the offset of the first."""
     cell = np.floor(place_m / TABLE_CELL_M).astype(np.int64)
     margin = 2 * TABLE_GAP_CELLS
     low = int(cell.min()) - margin
@@ -161,7 +161,7 @@ def _cells(place_m: Rows) -> tuple[Int[np.ndarray, " n"], int, int]:
 
 
 def _ends_of_rows(mask: Bool[np.ndarray, "rows columns"]) -> Int[np.ndarray, "ends 2"]:
-    """First and last pixel of each row: those within have no part in a hull."""
+    """First and last pixel of each row; the others do not affect a convex hull."""
     rows = np.flatnonzero(mask.any(axis=1))
     first, last = mask[rows].argmax(axis=1), mask.shape[1] - 1 - mask[rows, ::-1].argmax(axis=1)
     return np.concatenate([np.stack([rows, first], axis=1), np.stack([rows, last], axis=1)])

@@ -1,6 +1,6 @@
-"""What is hidden: silhouettes, ends of vessels behind others (as long as cups are), and who hides whom.
+"""Occlusion: silhouettes, extension of hidden vessel ends to the length of cups, and who hides whom.
 
-A silhouette is what a solid would cover of the image if it stood there alone.
+A silhouette is the part of the image that a solid would cover if it stood there alone.
 """
 
 from collections.abc import Sequence
@@ -18,20 +18,20 @@ from halfseen.perception.range_image import Pixels, RangeImage
 from halfseen.perception.solids import Hull, Vessel
 from halfseen.shapes import Bool, Float, Int
 
-# A row with a pixel this near to a side is asked pixel by pixel, as is one this near to a corner [px].
+# A row with a side this close to a pixel, or this close to a corner, is tested pixel by pixel [px].
 DOUBTFUL_PX = 1e-6
 
 
 def convex_pixels(corners_px: Float[np.ndarray, "v 2"], shape: tuple[int, int]) -> Int[np.ndarray, " px"]:
-    """Flat indices of the pixels within a convex polygon, rising.
+    """Flat indices of the pixels within a convex polygon, in increasing order.
 
-    The same, pixel for pixel, as scikit-image's ``polygon2mask``, which asks all pixels of the box around it; here,
-    each row is filled from one side to the other, unless rounding counts.
+    The result equals scikit-image's ``polygon2mask``, which tests all pixels of the bounding box. Here each row is
+    filled from side to side, unless rounding matters.
 
     Parameters
     ----------
     corners_px
-        Corners in order, as (column, row); they may lie outside of the image [px].
+        Corners in order, as (column, row); they may lie outside the image [px].
     shape
         Rows and columns of the image [px].
     """
@@ -52,7 +52,7 @@ def convex_pixels(corners_px: Float[np.ndarray, "v 2"], shape: tuple[int, int]) 
 
 
 def _sides_px(corners_px: Float[np.ndarray, "v 2"], row: Int[np.ndarray, " rows"]) -> tuple[Rows, Rows]:
-    """Columns at which each row enters and leaves the polygon: from its highest corner, sides go down either way."""
+    """Columns at which each row enters and leaves the polygon, along its two chains from the top corner down."""
     around = np.roll(corners_px, -int(corners_px[:, 1].argmin()), axis=0)
     lowest, column, height = int(around[:, 1].argmax()), *np.concatenate([around, around[:1]]).T
     one = np.interp(row, height[: lowest + 1], column[: lowest + 1])
@@ -60,17 +60,17 @@ def _sides_px(corners_px: Float[np.ndarray, "v 2"], row: Int[np.ndarray, " rows"
     return np.minimum(one, other), np.maximum(one, other)
 
 
-# Points nearer than this to the camera's own plane do not project [m].
+# Points with a smaller depth are not projected [m].
 NEAREST_M = 0.05
 
 
 def covered(solid: Vessel | Hull, plane: Plane, image: RangeImage) -> Pixels:
-    """Pixels that a solid would cover if it stood there alone, rising.
+    """Pixels that a solid would cover if it stood there alone, in increasing order.
 
     Parameters
     ----------
     solid, plane, image
-        The solid, the table that it stands on, and the image to project into.
+        The solid, the table that it stands on, and the image for the projection.
     """
     outline_px = projected(plane.camera_points(solid.outline_m()), image)
     if len(outline_px) < 3:
@@ -83,14 +83,14 @@ def covered(solid: Vessel | Hull, plane: Plane, image: RangeImage) -> Pixels:
 
 
 def projected(points_m: Points, image: RangeImage) -> Float[np.ndarray, "m 2"]:
-    """Pixels (column, row) of points before the camera [px].
+    """Pixels (column, row) of the points in front of the camera [px].
 
     Parameters
     ----------
     points_m
         Points in the camera frame [m].
     image
-        Whose camera to use.
+        Image of the camera.
     """
     seen = points_m[points_m[:, 2] > NEAREST_M]
     K = image.intrinsics
@@ -100,16 +100,16 @@ def projected(points_m: Points, image: RangeImage) -> Float[np.ndarray, "m 2"]:
 def middle_depth_m(
     solid: Vessel | Hull, plane: Plane, image: RangeImage, asked: Int[np.ndarray, " px"]
 ) -> Float[np.ndarray, " px"]:
-    """Depth at which each pixel's ray passes the axis of a solid [m].
+    """Depth at which each pixel's ray passes closest to the axis of a solid [m].
 
-    What is seen nearer than that hides the solid, what is seen farther does not.
+    Surfaces at a smaller depth hide the solid; farther ones do not.
 
     Parameters
     ----------
     solid, plane, image
         The solid, the table that it stands on, and the image.
     asked
-        Pixels to work out.
+        Pixels to compute.
     """
     K, (rows, columns) = image.intrinsics, np.divmod(asked, image.depth_m.shape[1])
     right, down = (columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1]
@@ -117,41 +117,40 @@ def middle_depth_m(
     start, end = plane.camera_points(solid.axis_ends_m())
     length = max(float(np.linalg.norm(end - start)), 1e-9)
     axis = (end - start) / length
-    # The point of the axis nearest to a ray through the origin, held between the ends.
+    # The point of the axis closest to a ray through the origin, clipped to the ends.
     cosine, towards = ((right * way[0] + down * way[1] + way[2]) * ahead for way in (axis, start))
     apart = np.maximum(1.0 - cosine * cosine, 1e-6)
     along = np.clip((cosine * towards - start @ axis) / apart, 0.0, length)
     return (towards + along * cosine) * ahead
 
 
-# Lengths of cups and cans from underside to rim [m], and the largest length in radii.
+# Lengths of cups and cans from base to rim [m], and the largest length in radii.
 SHORTEST_M, LONGEST_M = 0.07, 0.15
 LONGEST_IN_RADII = 3.6
-# An end is prolonged in steps of this length [m] ...
+# An end is extended in steps of this length [m] ...
 STEP_M = 0.005
-# ... until this share of what a step adds to the picture shows something behind it.
+# ... until this share of the pixels added by a step shows something behind it.
 CONTRADICTION_SHARE = 0.4
-# Shadow beside an end is no evidence of its own: this share of all that is added must lie behind a nearer object.
+# A shadow next to an end is not evidence: this share of all added pixels must lie behind a nearer object.
 HIDDEN_SHARE = 0.3
 
 
 def extended(i: int, vessel: Vessel, labels: Labels, plane: Plane, image: RangeImage) -> Vessel:
-    """Prolong the ends of a vessel that nearer objects hide.
+    """Extend the ends of a vessel that nearer objects hide.
 
-    The length that a vessel probably has, when all that is known is that it is no shorter than what is seen, is half
-    way between what is seen and the longest usual. An end goes on up to there, and stops where something behind it
-    shows.
+    A vessel is at least as long as its visible part. Its estimated length is halfway between the visible length and the
+    longest typical length. An end extends up to that length, and stops where a surface behind it is visible.
 
     Parameters
     ----------
     i
-        Its label.
+        Label of the vessel.
     vessel
-        Its walls, as far as they are seen.
+        The visible part of the vessel.
     labels
         Object of each pixel; −1 where there is none.
     plane, image
-        The table and what the camera sees.
+        The table and the range image.
     """
     seen = vessel.ends_m[1] - vessel.ends_m[0]
     longest = min(LONGEST_M, LONGEST_IN_RADII * vessel.radius_m)
@@ -162,7 +161,7 @@ def extended(i: int, vessel: Vessel, labels: Labels, plane: Plane, image: RangeI
     own = cache(partial(covered, vessel, plane, image))
 
     def room(end: int) -> int:
-        """How many steps an end can go on; the foot of a standing vessel is on the table and never does."""
+        """Number of steps by which an end can be extended; the foot of a standing vessel is never extended."""
         longest = _prolonged(vessel, end, num_steps)
         asked = covered(longest, plane, image)
         label, depth_m = labels.ravel()[asked], image.depth_m.ravel()[asked]
@@ -186,7 +185,7 @@ def extended(i: int, vessel: Vessel, labels: Labels, plane: Plane, image: RangeI
         return found if is_added.any() and is_hiding[is_added].mean() > HIDDEN_SHARE else 0
 
     rooms = [0 if vessel.is_upright else room(0), room(1)]
-    # Both ends share what is missing; what one has no room for, the other takes.
+    # Both ends share the missing length; an end takes what the other has no room for.
     first = min(rooms[0], max(num_steps // 2, num_steps - rooms[1]))
     return _prolonged(_prolonged(vessel, 0, first), 1, min(rooms[1], num_steps - first))
 
@@ -197,7 +196,7 @@ def _prolonged(vessel: Vessel, end: int, num_steps: int) -> Vessel:
     return replace(vessel, ends_m=(low, high + more) if end else (low - more, high))
 
 
-# Returns this near to a solid are its own, though too low over the table to be told from it [m].
+# Returns this close to a solid's wall belong to it, even if they are too low to be separated from the table [m].
 OWN_M = 0.006
 
 Masks = Bool[np.ndarray, "N H W"]
@@ -206,12 +205,12 @@ SeenMask = Bool[np.ndarray, " px"]
 
 @dataclass(frozen=True, eq=False)
 class Occlusion:
-    """Who hides whom.
+    """Mutual occlusion of objects.
 
     Parameters
     ----------
     silhouettes
-        What each object would fill of the image if it stood there alone.
+        Pixels that each object would cover if it stood there alone.
     occlusion
         Share of each silhouette that is hidden behind nearer objects.
     hides
@@ -224,11 +223,11 @@ class Occlusion:
 
 
 def occlusions(labels: Labels, solids: Sequence[Vessel | Hull], plane: Plane, image: RangeImage) -> Occlusion:
-    """Measure who hides whom.
+    """Compute silhouettes and mutual occlusion.
 
-    A silhouette is what is seen of the object, and those pixels of its solid at which either a nearer object is seen,
-    or nothing returned. Pixels of the solid at which something farther is seen, or the table, are evidence against
-    the solid and do not count.
+    A silhouette consists of the object's visible pixels and of those pixels of its solid that show a nearer object or
+    have no return. Pixels of the solid that show a farther surface or the table are evidence against the solid and do
+    not count.
 
     Parameters
     ----------
@@ -237,7 +236,7 @@ def occlusions(labels: Labels, solids: Sequence[Vessel | Hull], plane: Plane, im
     solids
         Completed shape of each object.
     plane, image
-        The table and what the camera sees.
+        The table and the range image.
     """
     covers = [covered(solid, plane, image) for solid in solids]
     seen = _Seen.of(covers, labels, image)
@@ -261,7 +260,7 @@ def occlusions(labels: Labels, solids: Sequence[Vessel | Hull], plane: Plane, im
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """Those pixels alone at which an object is seen, or a solid would be."""
+    """The pixels at which an object is visible or a solid would be."""
 
     pixels: Pixels
     labels: Int[np.ndarray, " px"]
@@ -270,7 +269,7 @@ class _Seen:
 
     @classmethod
     def of(cls, covers: Sequence[Pixels], labels: Labels, image: RangeImage) -> "_Seen":
-        """Pick them."""
+        """Select these pixels."""
         is_any = labels.ravel() >= 0
         for cover in covers:
             is_any[cover] = True
@@ -280,12 +279,12 @@ class _Seen:
 
 
 def _hidden(i: int, is_covered: SeenMask, middles: Float[np.ndarray, "N px"], seen: _Seen) -> SeenMask:
-    """Pixels of a solid at which a nearer object is seen, or would be had anything returned."""
+    """Pixels of a solid that show a nearer object, or that have no return and lie behind a nearer solid."""
     pixels = np.flatnonzero(is_covered)
     label, depth, middle = seen.labels[pixels], seen.points_m[pixels, 2], middles[i, pixels]
     is_before = (label >= 0) & (label != i) & (depth < middle)
     is_missed = ~seen.is_return[pixels]
-    # Where another solid is not, its middle is infinitely far.
+    # The depth of other solids is infinite at pixels that they do not cover.
     is_before[is_missed] |= (middles[:, pixels[is_missed]] < middle[is_missed]).any(axis=0)
     hidden = np.zeros_like(is_covered)
     hidden[pixels] = is_before
@@ -293,7 +292,7 @@ def _hidden(i: int, is_covered: SeenMask, middles: Float[np.ndarray, "N px"], se
 
 
 def _own(i: int, solid: Vessel | Hull, is_covered: SeenMask, seen: _Seen, plane: Plane) -> SeenMask:
-    """Pixels of an object that are seen, or that nothing returned from."""
+    """Pixels of an object that are visible or have no return."""
     own = (seen.labels == i) | (is_covered & ~seen.is_return)
     if isinstance(solid, Vessel):
         low = is_covered & (seen.labels < 0) & seen.is_return
@@ -307,7 +306,7 @@ def _hides(
     middles: Float[np.ndarray, "N px"],
     labels: Int[np.ndarray, " px"],
 ) -> Hides:
-    """Share of each silhouette before which each other object lies, seen there or hidden itself."""
+    """Share of each silhouette that each other object hides, whether that object is visible there or hidden itself."""
     objects = np.arange(len(silhouettes))[:, None]
     hides = np.zeros((len(silhouettes), len(silhouettes)))
     is_shared = silhouettes.sum(axis=0, dtype=np.uint16) > 1

@@ -1,4 +1,4 @@
-"""PCD files: points, their packed colours if they have some, and the pinhole camera in a comment."""
+"""PCD files: points, packed colours if present, and the pinhole camera in a comment."""
 
 import io
 import os
@@ -16,18 +16,18 @@ from halfseen.reading import CLOUD, check_unpacked, opened
 from halfseen.shapes import Float, Shaped
 from halfseen.writing import write_file
 
-# Comment of a header that carries the pinhole camera [px]: PCD has no field for it, and readers skip comments.
+# Header comment for the pinhole camera [px]: PCD has no field for it, and readers skip comments.
 INTRINSICS_COMMENT = "# intrinsics"
 COMMENTS = (INTRINSICS_COMMENT, f"# {FRAME_COMMENT}")
 
 
-# A header has a dozen lines; what goes on and on is none.
+# Limits of a header, which has a dozen lines.
 MOST_HEADER_LINES, MOST_LINE_BYTES = 1000, 65_536
-# Values of one field; the longest descriptors of points have some hundreds.
+# Largest number of values in one field; the longest point descriptors have a few hundred.
 MOST_COUNT = 4096
 _KINDS = {*(kind + size for kind in "UI" for size in "1248"), "F4", "F8"}
 
-# Fields that hold a colour as 0x00RRGGBB in four bytes, of a whole number or a float that means nothing else.
+# Fields that hold a colour as 0x00RRGGBB in the four bytes of an integer or a float.
 PACKED_COLOURS = ("rgb", "rgba")
 
 Columns: TypeAlias = dict[str, Shaped[np.ndarray, " n"]]
@@ -43,12 +43,12 @@ class Field(NamedTuple):
 
     @property
     def num_bytes(self) -> int:
-        """Of a point [B]."""
+        """Size of the field in one point [B]."""
         return self.size * self.count
 
 
 def read_pcd(path: Path) -> Cloud:
-    """Read a file of any of the three kinds of DATA; it is organised if its HEIGHT is more than 1.
+    """Read a file with any of the three kinds of DATA; the cloud is organised if HEIGHT is greater than 1.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def read_pcd(path: Path) -> Cloud:
     Raises
     ------
     CloudError
-        The file is cut short, lacks coordinates, or holds colours or intrinsics of another kind.
+        The file is truncated, lacks coordinates, or has colours or intrinsics of the wrong type.
     """
     with opened(path, CLOUD) as file:
         header = _header(file, path)
@@ -91,7 +91,7 @@ def read_pcd(path: Path) -> Cloud:
 
 
 def _header(file: BufferedReader, path: Path) -> dict[str, str]:
-    """Header entries, our comments too; what follows in the file are the points."""
+    """Header entries, including our comments; the file is then at the first point."""
     header: dict[str, str] = {}
     for _ in range(1, MOST_HEADER_LINES):
         line = file.readline(MOST_LINE_BYTES)
@@ -117,7 +117,7 @@ def _whole(header: dict[str, str], key: str, path: Path) -> int:
 
 
 def _fields(header: dict[str, str], num_points: int, path: Path) -> list[Field]:
-    """Columns of a header; one whose columns contradict one another, or announce more than there is, is refused."""
+    """Fields of a header; refuse inconsistent fields, and a header that declares more data than the file has."""
     names = header["FIELDS"].split()
     kinds, sizes, counts = (header.get(key, "").split() for key in ("TYPE", "SIZE", "COUNT"))
     counts = counts or ["1"] * len(names)
@@ -149,7 +149,7 @@ def _fields(header: dict[str, str], num_points: int, path: Path) -> list[Field]:
 
 
 def _text_columns(file: BufferedReader, fields: list[Field], wanted: list[str]) -> Columns:
-    """Columns of text; a row may have several spaces."""
+    """Columns of a text body; values may be separated by several spaces."""
     names, starts = [field.name for field in fields], np.cumsum([0, *(field.count for field in fields)])
     places = starts[[names.index(name) for name in wanted]].tolist()
     rows = np.loadtxt(file, usecols=places, ndmin=2, dtype=np.float64)
@@ -159,7 +159,7 @@ def _text_columns(file: BufferedReader, fields: list[Field], wanted: list[str]) 
 def _binary_columns(
     file: BufferedReader, fields: list[Field], wanted: list[str], num_points: int, is_plain: bool, path: Path
 ) -> Columns:
-    """Columns of point after point, or of packed field after field; pypcd4 takes longer to load than these to read."""
+    """Columns of a binary body, by point if plain, by field if compressed; importing pypcd4 would take longer."""
     of_field = [field.num_bytes for field in fields]
     if is_plain:
         points = np.frombuffer(file.read(), np.uint8, num_points * sum(of_field)).reshape(num_points, -1)
@@ -175,7 +175,7 @@ def _binary_columns(
 
 
 def _decompressed(file: BufferedReader, num_bytes: int, path: Path) -> bytes:
-    """Unpack points; those that announce another size than they have are refused, as memory would be asked for it."""
+    """Decompress points; refuse a wrong declared size, as memory would be allocated for it."""
     import lzf
 
     start = file.read(8)
@@ -208,7 +208,7 @@ def _packed_kind(field: Field, path: Path) -> str:
 def _unpacked(column: Shaped[np.ndarray, " n"], points_m: Points, kind: str) -> Colours | None:
     """Colours of a column as it was stored, or None if text has lost them."""
     if column.dtype.itemsize != 4:
-        # From text. Bits of colours are tiny numbers or, if opaque, none: writers make "0.0000000000" or "nan" of them.
+        # From text. The bits of a colour are a tiny float or, if opaque, NaN; writers print "0.0000000000" or "nan".
         if not column.any() or np.isnan(column[np.isfinite(points_m).all(axis=1)]).any():
             return None
         is_float = kind == "F" and not _is_whole(column)
@@ -246,9 +246,9 @@ def write_pcd(cloud: Cloud, path: str | os.PathLike[str]) -> None:
     Parameters
     ----------
     cloud
-        What to write. If organised, the file keeps its width and height; the intrinsics go into a header comment.
+        Cloud to write. The file keeps the width and height of an organised cloud; a header comment has the intrinsics.
     path
-        Where to; it appears whole or not at all, and missing parents are made.
+        Output file, written atomically; missing parents are created.
 
     Raises
     ------
@@ -266,7 +266,7 @@ def write_pcd(cloud: Cloud, path: str | os.PathLike[str]) -> None:
     num_rows, num_columns = cloud.shape or (1, len(cloud.points_m))
     viewpoint = (*cloud.eye_m.tolist(), *quaternion_of(cloud.camera_axes))
     parsed.metadata = parsed.metadata.derive(width=num_columns, height=num_rows, viewpoint=viewpoint)
-    # Into memory first: pypcd4 rewinds the file, over our comments, when points do not compress and stay binary.
+    # Write to memory first: if points do not compress, pypcd4 rewinds the file and overwrites our comments.
     body = io.BytesIO()
     parsed.save(body, Encoding.BINARY_COMPRESSED)
     write_file(Path(path), _comments(cloud).encode() + body.getvalue())

@@ -1,4 +1,4 @@
-"""A picture of a view: the depth image, the objects in colour, and arrows from who hides to who is hidden."""
+"""A picture of a view: the depth image, the objects in colour, and arrows from occluders to hidden objects."""
 
 import io
 import os
@@ -15,26 +15,26 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Colours that stay apart for colour-blind eyes (Okabe and Ito 2008), without black and grey: the depth image is grey.
+# Colour-blind-safe palette (Okabe and Ito 2008), without black and grey, as the depth image is grey.
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#8C6BB1", "#66A61E", "#A6761D")
 MASK_OPACITY = 0.75
-# Smaller shares would cover the picture with arrows that say nothing.
+# Smaller shares get no arrow, to avoid clutter.
 SMALLEST_ARROW_SHARE = 0.02
 DOTS_PER_INCH = 150
 WIDTH_INCHES = 9.0
 THUMBNAIL_INCHES = (5.2, 3.9)
 THUMBNAIL_NUMBERS = 21.0
-"""Size of the objects' numbers [pt], legible where the picture is as wide as a thumb."""
+"""Font size of the objects' numbers [pt], legible at the width of a thumb."""
 THUMBNAIL_MARGIN = 0.07
 
 
 def sentence(view: View) -> str:
-    """Say in plain words what stands on the table and what is hidden most.
+    """Describe in a sentence what is on the table and which object is hidden most.
 
     Parameters
     ----------
     view
-        What a camera sees.
+        The view to describe.
     """
     if not view.objects:
         return "No objects on the table."
@@ -53,9 +53,9 @@ def draw(view: View, path: str | os.PathLike[str]) -> None:
     Parameters
     ----------
     view
-        What a camera sees.
+        The view to draw.
     path
-        Where to; the file appears whole or not at all, and missing parents are made.
+        Output file, written atomically; missing parents are created.
 
     Raises
     ------
@@ -73,12 +73,12 @@ def draw(view: View, path: str | os.PathLike[str]) -> None:
 
 
 def thumbnail(view: View) -> bytes:
-    """Draw the objects of a view alone, close up, with numbers that are legible in a small picture; a PNG.
+    """Draw a close-up PNG of a view's objects, with numbers legible in a small picture.
 
     Parameters
     ----------
     view
-        What a camera sees.
+        The view to draw.
     """
     from matplotlib.figure import Figure
 
@@ -98,7 +98,7 @@ def _png(figure: "Figure") -> bytes:
 
 
 def _frame_px(view: View) -> tuple[float, float, float, float]:
-    """Left, right, top and bottom of the least frame of a thumbnail's shape that holds all objects [px]."""
+    """Left, right, top and bottom of the smallest frame with a thumbnail's aspect that holds all objects [px]."""
     rows, columns = np.nonzero(view.labels >= 0 if view.objects else view.image.is_return)
     size_px = np.array([np.ptp(columns), np.ptp(rows)]) * (1.0 + 2.0 * THUMBNAIL_MARGIN)
     half_px = 0.5 * max(size_px / np.array(THUMBNAIL_INCHES)) * np.array(THUMBNAIL_INCHES)
@@ -113,13 +113,13 @@ def draw_view(axes: "Axes", view: View, number_size: float = 8.0, *, has_shares:
     Parameters
     ----------
     axes
-        Axes of Matplotlib; pixels of the image become their units.
+        Matplotlib axes; their units become image pixels.
     view
-        What a camera sees.
+        The view to draw.
     number_size
-        Of the objects' numbers [pt].
+        Font size of the objects' numbers [pt].
     has_shares
-        Whether the hidden share stands beside each number.
+        Whether to write the hidden share next to each number.
     """
     axes.imshow(_coloured(view), interpolation="nearest")
     axes.set_axis_off()
@@ -131,7 +131,7 @@ def draw_view(axes: "Axes", view: View, number_size: float = 8.0, *, has_shares:
 
 
 def _coloured(view: View) -> Float[np.ndarray, "H W 3"]:
-    """Depth in grey, near bright; no return white; objects in their colours."""
+    """RGB image: depth in grey, bright if near; no return in white; objects in their colours."""
     from matplotlib.colors import to_rgb
 
     depth = view.image.depth_m
@@ -146,7 +146,7 @@ def _coloured(view: View) -> Float[np.ndarray, "H W 3"]:
 
 
 def _middle_px(view: View, index: int) -> tuple[float, float]:
-    """Pixel (column, row) in the middle of what is seen of an object."""
+    """Pixel (column, row) in the middle of an object's visible part."""
     rows, columns = np.nonzero(view.labels == index)
     nearest = np.argmin((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2)
     return float(columns[nearest]), float(rows[nearest])

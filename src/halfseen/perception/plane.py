@@ -1,4 +1,4 @@
-"""The table: which of the planes in view it is, and how far it reaches."""
+"""Detection of the table's plane among the planes in view."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,45 +11,45 @@ from halfseen.perception.clouds import DepthSensor, Vector
 from halfseen.perception.range_image import PixelMask, RangeImage
 from halfseen.shapes import Bool, Float, Int
 
-# RANSAC over a thinned image with a fixed generator: one input gives one plane.
+# RANSAC over a subsampled image with a fixed seed, so that the result is deterministic.
 RANSAC_SEED = 7
 NUM_HYPOTHESES = 150
 NUM_POINTS_THINNED = 3000
-# Hypotheses at once: so many fit into a cache.
+# Hypotheses per batch; this many fit into a cache.
 AT_ONCE = 8
-# Points of a hypothesis come from one neighbourhood of this radius, relative to the image's longer side: a plane
-# through three far points is mostly a plane through nothing.
+# Points of a hypothesis come from one neighbourhood of this radius, relative to the image's longer side: three distant
+# points rarely lie on one surface.
 NEIGHBOURHOOD_SHARE = 0.12
-# Distance at which a point still belongs to a plane: this many standard deviations, and warps of cheap lenses [m].
+# Largest distance of an inlier: this many standard deviations, but at least the distortion of cheap lenses [m].
 INLIER_SIGMAS = 2.0
 SMALLEST_TOLERANCE_M = 0.005
-# Planes are peeled off until one holds less than this share of the returns.
+# Planes are removed one by one until one has less than this share of the returns.
 SMALLEST_PLANE_SHARE = 0.04
 MOST_PLANES = 6
 # Cosine above which two planes are parallel (8°).
 PARALLEL_COSINE = 0.99
-# A level or downward-looking camera sees a table's normal point up in the image; walls seen from above point down.
-# Normals whose upward share is smaller than this may be a table seen from straight above, or a wall.
+# For a level or downward-looking camera, a table's normal points up in the image; walls seen from above point down.
+# A normal with a smaller upward component may be a table seen from straight above, or a wall.
 CLEARLY_UP = 0.2
 LARGEST_DOWN = 0.15
 DOUBTFUL_WEIGHT = 0.3
-# Smallest piece of a table that is seen [m²]; the top of a pitcher is 0.016.
+# Smallest visible area of a table [m²]; the top of a pitcher is 0.016.
 SMALLEST_TABLE_M2 = 0.02
-# A level plane less than this above another one that is larger by this factor is the top of a box on a table [m].
+# A level plane less than this above another one [m], which is larger by this factor, is the top of a box on a table.
 HIGHEST_BOX_M = 0.2
 BOX_AREA_RATIO = 1.5
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A plane ``normal · x = offset_m``; the normal points to the side of the camera, which is up for a table.
+    """A plane ``normal · x = offset_m``; the normal points towards the camera, which is up for a table.
 
     Parameters
     ----------
     normal
         Unit normal in the camera frame.
     offset_m
-        Signed distance of the plane from the origin along the normal [m]; negative as the camera is above it.
+        Signed distance of the plane from the origin along the normal [m]; negative, as the camera is above it.
     """
 
     normal: Vector
@@ -114,14 +114,13 @@ class Plane:
 def find_table(image: RangeImage) -> Plane:
     """Find the plane of the table.
 
-    Planes are peeled off one after the other. The family of parallel planes with the most returns that point up is
-    the horizontal one; its highest member that is large enough for a table is the table, so that a floor below with
-    more pixels does not win.
+    Planes are removed one by one. The upward-facing family of parallel planes with the most returns is the horizontal
+    one. Its highest member that is large enough is the table, so that a floor below with more pixels does not win.
 
     Parameters
     ----------
     image
-        What the camera sees.
+        The range image.
 
     Raises
     ------
@@ -156,7 +155,7 @@ def find_table(image: RangeImage) -> Plane:
 
 
 def _is_on_another(plane: Plane, area_m2: float, members: list[tuple[Plane, float]]) -> bool:
-    """Whether a plane is the top of a box: a larger one is less than a box's height below."""
+    """Whether a plane is the top of a box: a larger plane is less than a box's height below it."""
     return any(
         0 < plane.offset_m - other.offset_m < HIGHEST_BOX_M and other_area_m2 > BOX_AREA_RATIO * area_m2
         for other, other_area_m2 in members
@@ -164,7 +163,7 @@ def _is_on_another(plane: Plane, area_m2: float, members: list[tuple[Plane, floa
 
 
 def _thinned(image: RangeImage) -> Float[np.ndarray, "n 5"]:
-    """Points on a coarse grid of pixels, with their column and row."""
+    """Points on a coarse pixel grid, with their column and row."""
     step = max(1, int(np.sqrt(image.is_return.sum() / NUM_POINTS_THINNED)))
     rows, columns = np.nonzero(image.is_return[::step, ::step])
     points = image.points_m[::step, ::step][rows, columns]
@@ -215,11 +214,11 @@ def _best_plane(
 def _neighbours(
     pixels: Float[np.ndarray, "n 2"], radius_px: float, generator: np.random.Generator
 ) -> Int[np.ndarray, "hypotheses 3"]:
-    """Draw three points that are near to one another, for each hypothesis; pixels are in order, row by row."""
+    """Draw three neighbouring points for each hypothesis; pixels are ordered row by row."""
     first = generator.integers(len(pixels), size=NUM_HYPOTHESES)
     farthest, (column, row) = int(np.ceil(radius_px)) - 1, pixels.T.astype(np.int64)
     lines, width = np.unique(row), int(column.max()) + 2 * farthest + 2
-    # Of each row, those near to a hypothesis follow one another.
+    # In each row, the neighbours of a hypothesis are consecutive.
     order, left = row * width + column + farthest, lines * width + column[first, None]
     starts, ends = np.searchsorted(order, left), np.searchsorted(order, left + 2 * farthest + 1)
     num_near = np.where(np.abs(lines - row[first, None]) <= farthest, ends - starts, 0)
@@ -239,7 +238,7 @@ def _tolerance_m(sensor: DepthSensor, depth_m: Rows) -> Rows:
 
 
 def _fitted(points: Points, plane: Plane, sensor: DepthSensor, num_rounds: int = 3) -> Plane:
-    """Total least squares over the inliers, weighted by the noise of each."""
+    """Refit a plane by total least squares over its inliers, weighted by the inverse noise variance."""
     across, weights = np.ascontiguousarray(points.T), 1.0 / sensor.noise_m(points[:, 2]) ** 2
     tolerance_m = _tolerance_m(sensor, points[:, 2])
     for _ in range(num_rounds):
@@ -259,19 +258,19 @@ def _support(plane: Plane, planes: list[tuple[Plane, Bool[np.ndarray, " n"]]]) -
 
 
 def _area_m2(plane: Plane, points: Points) -> float:
-    """Area of the plane that points cover, in cells as wide as their typical spacing [m²]."""
+    """Area of the plane covered by points, in cells as wide as their typical spacing [m²]."""
     cell_m = 0.02
     right, away = np.floor(plane.axes() @ points.T / cell_m).astype(np.int64)
     return len(np.unique((right - right.min()) * (np.ptp(away) + 1) + away - away.min())) * cell_m**2
 
 
 def is_on_plane(height_m: Image, image: RangeImage) -> PixelMask:
-    """Pixels whose points belong to a plane.
+    """Mask of the pixels whose points belong to a plane.
 
     Parameters
     ----------
     height_m, image
-        How high each point is above the plane [m], and what the camera sees.
+        Height of each point above the plane [m], and the range image.
     """
     with np.errstate(invalid="ignore"):
         return np.abs(height_m) < np.maximum(SMALLEST_TOLERANCE_M, INLIER_SIGMAS * image.noise_m)

@@ -1,4 +1,4 @@
-"""Clouds as range images: every stage after this one works on pixels, organised cloud or not."""
+"""Conversion of clouds to range images; all later stages work on pixels, whether or not the cloud is organised."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,9 +23,9 @@ from halfseen.shapes import Bool, Float, Int
 
 # A virtual pixel is this much wider than the median distance between neighbouring rays, so that few stay empty.
 VIRTUAL_PIXEL_SCALE = 1.3
-# Rays whose neighbour distances are measured for the virtual pixel; the median of so many is stable.
+# Number of rays whose neighbour distances are measured for the virtual pixel; their median is stable.
 NUM_RAYS_MEASURED = 4000
-# Longest side of a virtual image [px]: one stray point far to the side must not make an image of gigabytes.
+# Longest side of a virtual image [px]: a single stray point must not make an image of gigabytes.
 LARGEST_VIRTUAL_SIDE_PX = 1280
 
 PixelPoints = Float[np.ndarray, "H W 3"]
@@ -36,24 +36,24 @@ Pixels = Int[np.ndarray, " _"]
 
 @dataclass(frozen=True, eq=False)
 class RangeImage:
-    """Points of a cloud, pixel by pixel.
+    """Points of a cloud by pixel.
 
     Parameters
     ----------
     points_m
-        Point of each pixel in the frame of the camera of this image [m]; NaN where nothing returned.
+        Point of each pixel in the frame of this image's camera [m]; NaN where nothing returned.
     intrinsics
         Pinhole matrix of that camera [px].
     pixel_of_point
         Flat pixel index of each point of the cloud; −1 for rays without return.
     cloud_from_camera
-        Takes directions of this camera into the frame of the cloud: a rotation, mirrored where the cloud is.
+        Rotation of directions from this camera to the frame of the cloud; mirrored if the cloud is.
     is_virtual
-        True if the camera was made up because the cloud is not organised.
+        True if the camera is virtual because the cloud is not organised.
     name
         Where the cloud comes from.
     sensor
-        What returned it.
+        Depth camera that returned the cloud.
     """
 
     points_m: PixelPoints
@@ -76,24 +76,24 @@ class RangeImage:
 
     @cached_property
     def is_return(self) -> PixelMask:
-        """Pixels at which something returned."""
+        """Mask of the pixels with a return."""
         return np.isfinite(self.depth_m)
 
 
 def range_image(cloud: Cloud, sensor: DepthSensor = XTION) -> RangeImage:
-    """See a cloud as an image: its own if it is organised, else one of a virtual camera at its eye.
+    """Convert a cloud to an image: its own grid if it is organised, otherwise that of a virtual camera at its eye.
 
     Parameters
     ----------
     cloud
-        What a camera returned.
+        The cloud.
     sensor
-        Which camera.
+        Depth camera that returned it.
 
     Raises
     ------
     CloudError
-        There are too few points to tell anything.
+        There are too few points.
     """
     if cloud.num_returns < FEWEST_RETURNS:
         raise CloudError(
@@ -106,7 +106,7 @@ def range_image(cloud: Cloud, sensor: DepthSensor = XTION) -> RangeImage:
 
 
 def _from_eye(cloud: Cloud) -> Points:
-    """Points in the frame of the camera; as they are where that is theirs."""
+    """Points in the frame of the camera; unchanged if they already are."""
     points = cloud.points_m - cloud.eye_m if cloud.eye_m.any() else cloud.points_m
     return _turned(points, cloud.camera_axes)
 
@@ -116,7 +116,7 @@ def _turned(points: Points, axes: Float[np.ndarray, "3 3"]) -> Points:
 
 
 def _organised(cloud: Cloud, sensor: DepthSensor, points: Points) -> RangeImage | None:
-    """Its own image; None if its points lie on the rays of no pinhole camera: a wide lens, or another frame."""
+    """Image on the cloud's own grid; None if it does not fit a pinhole camera (a wide lens, or another frame)."""
     assert cloud.shape is not None
     pinhole = _pinhole(cloud, points)
     if not pinhole.is_camera:
@@ -128,7 +128,7 @@ def _organised(cloud: Cloud, sensor: DepthSensor, points: Points) -> RangeImage 
 
 
 def _pinhole(cloud: Cloud, points: Points) -> Pinhole:
-    """Camera that an organised cloud says, or shows."""
+    """Camera of an organised cloud: its intrinsics if they fit, otherwise an estimate."""
     assert cloud.shape is not None
     K, asked = cloud.intrinsics, pixels_of_returns(points, cloud.shape, NUM_ASKED)
     given = None if K is None else Pinhole(K, np.eye(3), 0.0)
@@ -140,7 +140,7 @@ def _pinhole(cloud: Cloud, points: Points) -> Pinhole:
 
 
 def _virtual(cloud: Cloud, sensor: DepthSensor, points: Points) -> RangeImage:
-    """Image of a pinhole camera at the eye of the cloud, with pixels just wide enough to hold a point each."""
+    """Image of a virtual pinhole camera at the eye of the cloud, with pixels just wide enough for one point each."""
     turned = _virtual_rotation(points)
     rows = np.flatnonzero(np.isfinite(points[:, 2]))
     seen = _turned(points[rows], turned)
@@ -168,7 +168,7 @@ def _virtual(cloud: Cloud, sensor: DepthSensor, points: Points) -> RangeImage:
 
 
 def _nearest(pixel: Pixels, seen: Points, num_pixels: int) -> Int[np.ndarray, " m"]:
-    """Nearest point of each pixel; equal depths are told apart by coordinates, never by the order in the file."""
+    """Nearest point of each pixel; ties in depth are broken by coordinates, not by the order in the file."""
     left = np.arange(len(pixel))
     for axis in (2, 0, 1):
         at, value = pixel[left], seen[left, axis]
@@ -181,7 +181,7 @@ def _nearest(pixel: Pixels, seen: Points, num_pixels: int) -> Int[np.ndarray, " 
 
 
 def _virtual_rotation(points: Points) -> Float[np.ndarray, "3 3"]:
-    """Take the camera frame itself if all points lie before it, else a frame that looks at their middle."""
+    """Axes of the virtual camera: the camera frame if all points are in front of it, else axes towards their middle."""
     is_return = np.isfinite(points[:, 2])
     if (points[is_return, 2] > 0).all():
         return np.eye(3)
@@ -197,11 +197,11 @@ def _unit(vector: Vector) -> Vector:
 
 def _ray_pitch(slope: Float[np.ndarray, "n 2"]) -> float:
     """Median distance from a ray to its nearest neighbour, as tangents."""
-    # As complex numbers, rays are in order by one tangent, and by the other where that is equal.
+    # As complex numbers, rays sort by the first tangent, then by the second.
     ordered = np.sort(np.ascontiguousarray(slope).view(np.complex128).ravel())
     ordered = ordered[np.append(True, ordered[1:] != ordered[:-1])]
     rays = ordered.view(np.float64).reshape(-1, 2)
     asked = rays[:: max(1, len(rays) // NUM_RAYS_MEASURED)]
-    # The tree is for few questions: built fast, not for speed of answers.
+    # Few queries follow, so the tree is built for fast construction.
     distance, _ = KDTree(rays, leafsize=64, balanced_tree=False, compact_nodes=False).query(asked, k=2)
     return max(float(np.median(distance[:, 1])), 1e-5)

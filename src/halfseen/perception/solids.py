@@ -1,6 +1,6 @@
-"""Solids that complete what is seen of an object: a vessel (cone frustum, standing or lying), or a convex hull.
+"""Solids that complete the visible part of an object: a vessel (cone frustum, standing or lying), or a convex hull.
 
-Coordinates of this file are those of the table: right, away from the camera, height over the plane.
+Coordinates here are those of the table: right, away from the camera, height over the plane.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from halfseen.arrays import Points, Rows
 from halfseen.perception.clouds import Vector
 from halfseen.shapes import Float
 
-# Corners of the outline of an end.
+# Number of points on the outline of an end.
 NUM_AROUND = 40
 
 
@@ -22,17 +22,17 @@ class Vessel:
     Parameters
     ----------
     centre_m
-        Point of the axis at which `radius_m` holds: (right, away, height) [m].
+        Point of the axis at which the radius is `radius_m`: (right, away, height) [m].
     axis
         Unit vector along the axis; up for a standing vessel, towards the wider end for a lying one.
     radius_m
         Outer radius at `centre_m` [m].
     slope
-        Growth of the radius along the axis.
+        Increase of the radius per length along the axis.
     ends_m
-        Where the vessel begins and ends along the axis, from `centre_m` [m].
+        Positions of both ends along the axis, from `centre_m` [m].
     misfit
-        Mean robust cost of a point; 1 is a residual of one noise, infinite is a radius or slope of no vessel.
+        Mean robust cost of a point; about 1 for residuals of one noise unit, infinite for an invalid radius or slope.
     """
 
     centre_m: Vector
@@ -61,7 +61,7 @@ class Vessel:
         return (points_m - self.centre_m) @ self.axis
 
     def outside_m(self, points_m: Points) -> Rows:
-        """Distance of points from the wall, square to the axis [m]; negative inside."""
+        """Distance of points from the wall, perpendicular to the axis [m]; negative inside."""
         across, along = around(points_m, self.centre_m[None], self.axis[None])
         return (across - np.maximum(self.radius_m + self.slope * along, 0.0))[0]
 
@@ -78,7 +78,7 @@ class Vessel:
 
 @dataclass(frozen=True, eq=False)
 class Hull:
-    """The convex hull of what is seen of an object, carried down to the table.
+    """The convex hull of an object's visible points, extended down to the table.
 
     Parameters
     ----------
@@ -98,14 +98,14 @@ class Hull:
         return np.stack([self.middle_m * [1.0, 1.0, 0.0], self.middle_m * [1.0, 1.0, 2.0]])
 
     def outline_m(self) -> Points:
-        """Return the points, and their shadows on the table [m]."""
+        """Return the points and their projections onto the table [m]."""
         return np.concatenate([self.points_m, self.points_m * [1.0, 1.0, 0.0]])
 
 
 def around(
     points_m: Points, centres_m: Float[np.ndarray, "k 3"], axes: Float[np.ndarray, "k 3"]
 ) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, "k n"]]:
-    """How far points are from several axes, and where along them, from a point of each [m].
+    """Distances of points from several axes, and positions along them from a point of each axis [m].
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def around(
     along = offsets @ axes[:, :, None]
     offsets -= along * axes[:, None]
     np.square(offsets, out=offsets)
-    # In this order, as a sum over three is: results stay the same to the last bit.
+    # The order of a sum over three elements, so that results are bitwise identical.
     return np.sqrt(offsets[..., 0] + offsets[..., 1] + offsets[..., 2]), along[..., 0]
 
 
@@ -130,6 +130,6 @@ def _square_to(axis: Vector) -> tuple[Vector, Vector]:
 
 
 def _cross(one: Vector, other: Vector) -> Vector:
-    """Cross product of two vectors; NumPy's takes ten times as long for two."""
+    """Cross product of two vectors; for a single pair, NumPy's is ten times slower."""
     a, b = one.tolist(), other.tolist()
     return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

@@ -1,6 +1,6 @@
-"""Vessels that fit points: standing, lying on a wall, lying on a handle; and two vessels in one sheet.
+"""Fits of vessels to points: standing, lying on a wall, lying on a handle; and two vessels in one sheet.
 
-Cups may stand so near to one another that no step in depth lies between them.
+Cups may stand so close together that there is no depth step between them.
 """
 
 from collections.abc import Sequence
@@ -25,19 +25,19 @@ from halfseen.perception.walls import (
 )
 from halfseen.shapes import Float
 
-# How far the axis of a lying vessel is from where it is when the wall touches the table: in height [m], tilt [rad].
-# Neighbouring points err together, so that the spreads are given a fifth of what they are.
+# Prior spread of a lying vessel's axis about its pose with the wall on the table: height [m], tilt [rad]. Errors of
+# neighbouring points are correlated, so the spreads are set to a fifth of their real values.
 WALL_REST = (0.0005, 0.005)
 HANDLE_REST = (0.002, 0.03)
-# Points that take part in a fit: enough for noise of half a millimetre in the radius.
+# Number of points in a fit; the radius then has a standard error of half a millimetre.
 NUM_POINTS_FITTED = 250
-# Directions from which the fit of a lying vessel starts, and how many of the best are followed.
+# Initial directions of the fit of a lying vessel, and how many of the best are refined.
 NUM_DIRECTIONS, NUM_FOLLOWED = 8, 2
-# Ends of the axis are where the outermost percents of the inliers are [%].
+# The ends of the axis are at this percentile of the inliers and its complement [%].
 END_PERCENT = 2.0
-# Points this near to the wall belong to the vessel [m].
+# Points this close to the wall belong to the vessel [m].
 INLIER_M = 0.008
-# A radius or slope this near to its bound is none of a vessel's.
+# A radius or slope this close to its bound is not that of a vessel.
 AT_BOUND = 1e-4
 
 
@@ -70,14 +70,14 @@ def _standing(p: Free, misfit: float, middle_height: float, points_m: Points) ->
 
 
 def lying_vessels(sets: Sequence[Float[np.ndarray, "_ 3"]], num_on_handle: int = 0) -> list[Vessel]:
-    """Fit a vessel that lies on the table to each set of points.
+    """Fit a lying vessel to each set of points.
 
     Parameters
     ----------
     sets
         Points of the walls of each as (right, away, height) [m].
     num_on_handle
-        So many, the last, may rest on a handle, too: raised and tilted.
+        Number of sets, at the end, whose vessels may rest on a handle: raised and tilted.
     """
     if not sets:
         return []
@@ -96,10 +96,10 @@ def lying_vessels(sets: Sequence[Float[np.ndarray, "_ 3"]], num_on_handle: int =
 
 
 def _lying_starts(points: Points, middle: Vector) -> Frees:
-    """Parameters to start from, those that fit best."""
+    """Best initial parameters of a lying vessel."""
     radius = float(np.clip(points[:, 2].max() / 2, 0.015, 0.08))
     directions = 2 * np.pi * np.arange(NUM_DIRECTIONS) / NUM_DIRECTIONS
-    # What is seen is the near side: the axis is half a radius behind its middle.
+    # The visible part is the near side, so the axis is half a radius behind its middle.
     starts = np.array([[radius / 2 * np.cos(way), radius, radius, USUAL_SLOPE, way, 0.0] for way in directions])
     walls = LyingWalls.of([points[:0]] * NUM_DIRECTIONS, [middle] * NUM_DIRECTIONS, *WALL_REST)
     across, along = around(points, *walls.places(starts))
@@ -108,7 +108,7 @@ def _lying_starts(points: Points, middle: Vector) -> Frees:
 
 
 def flat_misfit(points_m: Points) -> float:
-    """Mean robust cost of the plane that fits points best, on the scale of `Vessel.misfit`.
+    """Mean robust cost of the best-fitting plane, on the scale of `Vessel.misfit`.
 
     Parameters
     ----------
@@ -122,20 +122,20 @@ def flat_misfit(points_m: Points) -> float:
 
 
 def thinned(points_m: Points, num_points: int = NUM_POINTS_FITTED) -> Float[np.ndarray, "m 3"]:
-    """Every so manyth point, so that at most twice `num_points` remain.
+    """Subsample points by a constant stride, so that at most twice `num_points` remain.
 
     Parameters
     ----------
     points_m
         Points, in an order that spreads them over the surface.
     num_points
-        How many to keep, about.
+        Approximate number of points to keep.
     """
     return points_m[:: max(1, len(points_m) // num_points)]
 
 
 def robust_cost(residuals_m: Rows) -> float:
-    """Mean cost of residuals: square where small against the noise, linear where large.
+    """Mean robust cost of residuals: quadratic if small against the noise, linear if large.
 
     Parameters
     ----------
@@ -146,9 +146,9 @@ def robust_cost(residuals_m: Rows) -> float:
 
 
 def _solved(walls: Walls, starts: Frees, bounds: Bounds) -> tuple[Frees, Rows]:
-    """Parameters that fit best from each start, and the mean robust cost of a point.
+    """Fitted parameters from each start, and the mean robust cost of a point.
 
-    Infinite is a radius or slope of no vessel.
+    The cost is infinite for a radius or slope at its bound.
     """
     low, high = bounds.low, bounds.high
     p = fitted(walls, np.clip(starts, low + 1e-6, high - 1e-6), bounds)
@@ -157,7 +157,7 @@ def _solved(walls: Walls, starts: Frees, bounds: Bounds) -> tuple[Frees, Rows]:
 
 
 def _circle(across_m: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "2"], float]:
-    """Centre and radius by algebraic least squares (Kåsa), held to radii of vessels."""
+    """Centre and radius by algebraic least squares (Kåsa); a default if the radius is not that of a vessel."""
     middle = across_m.mean(axis=0)
     offset = across_m - middle
     design = np.column_stack([2 * offset, np.ones(len(offset))])
@@ -175,18 +175,18 @@ def _ends(vessel: Vessel, points_m: Points) -> tuple[float, float]:
     return float(low), float(high)
 
 
-# Rounds of fitting two vessels and giving each point to the nearer one; they settle in three. A misfit that is worse
-# after the first is given up: most sheets that are no vessel are no two either.
+# Rounds of fitting two vessels and assigning each point to the closer one; they converge in three. A larger misfit in a
+# round ends the search: most sheets that are not one vessel are not two either.
 NUM_ROUNDS = 4
 HOPELESS_MISFIT = 5.0
-# Both vessels must fit this well, hold this share of the points, and be no wider than a cup [m]: a lone object that
-# is no vessel must never be split because its halves might be bent.
+# Both vessels must fit this well, have this share of the points, and be no wider than a cup [m]: a single object that
+# is not a vessel must not be split because its halves happen to be curved.
 WORST_MISFIT_OF_TWO = 1.0
 SMALLEST_SHARE = 0.15
 WIDEST_RADIUS_M = 0.06
-# Solids share no room: middles are at least this share of the sum of the radii apart.
+# Solids do not overlap: their middles are at least this share of the sum of the radii apart.
 APART_SHARE = 0.8
-# Fewer points do not tell two vessels from one.
+# Fewest points that can distinguish two vessels from one.
 FEWEST_POINTS = 300
 
 
@@ -215,14 +215,14 @@ def divided(points_m: Points) -> RowMask | None:
         if max(vessel.misfit for vessel in pair) > HOPELESS_MISFIT:
             return None
         before, is_first = is_first, _distance_m(pair[0], sample) < _distance_m(pair[1], sample)
-        # What is settled would be fitted again, to the same.
+        # With the same assignment, the fit would not change.
         if (is_first == before).all():
             break
     return _distance_m(pair[0], points_m) < _distance_m(pair[1], points_m) if _are_two(*pair) else None
 
 
 def _fitted(sets: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Vessel]:
-    """Vessel that fits each set best, standing or lying."""
+    """Best-fitting vessel of each set, standing or lying."""
     return [
         min(pair, key=lambda vessel: vessel.misfit)
         for pair in zip(standing_vessels(sets), lying_vessels(sets), strict=True)

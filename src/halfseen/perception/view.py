@@ -1,11 +1,12 @@
-"""From a cloud to a view: the table, what stands on it, and who hides whom; and whether these are cups.
+"""From a cloud to a view: the table, the objects on it, and who hides whom; and a check that the objects are cups.
 
-What perception and every law know are tables of tumblers and mugs that stand or lie. What counts as another thing: a
-height that no cup has; and, where more than a third of the objects show it, a shape that no vessel fits, or a width
-that no cup has. One such shape among cups is most likely two cups that were taken for one.
+Perception and all fitted models assume tables of standing or lying tumblers and mugs. An object is not a cup if its
+height is outside the range of cups. If more than a third of the objects have a height, shape or width that no cup has,
+shape and width count as well: no vessel fits the object, or it is too wide. A single such shape among cups is most
+likely two cups that were merged.
 
-*What this cannot tell.* A can is a cup to it, and so is a bowl, a jar, a box that is partly hidden, or a thing of a
-cup's size that is round: it tells what is surely something else, and passes what may be a cup.
+*Limits.* A can, a bowl, a jar, a partly hidden box or a round object of a cup's size passes as a cup. The check reports
+only objects that are certainly not cups.
 """
 
 from collections.abc import Sequence
@@ -27,9 +28,9 @@ from halfseen.reading import reason_of
 from halfseen.shapes import Bool, Float
 from halfseen.world.scene import Scene
 
-# Part of an object's height over the table that counts as its extent, from below and above [%]: single points err.
+# Percentile of the points, from below and above, that bounds an object's extent [%]; it excludes outliers.
 EXTENT_PERCENT = 1.0
-# A shape without a vertical axis stands upright if it is higher than this times its width.
+# An object that is not a vessel is upright if it is higher than this times its width.
 UPRIGHT_ASPECT = 1.0
 
 
@@ -44,19 +45,19 @@ class SeenObject:
     centroid_m
         Middle of its completed shape, in the frame of the cloud [m].
     height_m
-        How high it reaches over the table [m].
+        Height of its top over the table [m].
     size_m
-        Extent of what is seen of it: to the camera's right, away from the camera, and up [m].
+        Extent of its visible part: to the camera's right, away from the camera, and up [m].
     occlusion
         Share of its silhouette that is hidden behind nearer objects, in [0, 1].
     num_points
-        Points of the cloud that are seen of it.
+        Number of its points in the cloud.
     is_upright
         False if it lies.
     pixels
         Flat indices of its pixels in the range image.
     solid
-        What completes it, in coordinates of the table: right, away from the camera, height over the plane [m].
+        Its completed shape, in table coordinates: right, away from the camera, height over the plane [m].
     """
 
     id: int
@@ -72,27 +73,27 @@ class SeenObject:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a camera sees on a table.
+    """The perceived objects on a table.
 
     Parameters
     ----------
     table
         Plane of the table, in the frame of the cloud; its normal points up.
     objects
-        What stands or lies on it, largest in the image first.
+        Objects on the table, largest in the image first.
     hides
         ``hides[i, j]`` is the share of object i's silhouette that is hidden by object j alone.
     labels
         Object of each pixel of the range image; −1 where there is none.
     silhouettes
-        What each object would fill of the image if it stood there alone.
+        Pixels that each object would cover if it stood there alone.
     image
-        The range image that all this was seen in.
+        The range image of the view.
     camera_from_table, cloud_from_table
-        Take homogeneous points of the table (right, away, height [m]) into the frame of the image's camera, and into
-        that of the cloud.
+        Transforms of homogeneous points from the table (right, away, height [m]) to the frame of the image's camera,
+        and to that of the cloud.
     num_cut
-        Objects left out because the border of the image cuts them: nobody knows how much of them is hidden.
+        Number of objects left out because the image border cuts them; their hidden share is unknown.
     name
         Where the cloud comes from.
     """
@@ -110,33 +111,33 @@ class View:
 
     @property
     def places_m(self) -> Points:
-        """Where each object is on the table: to the right of the camera's foot, away from it, and up [m]."""
+        """Position of each object on the table: to the right of the camera's foot, away from it, and up [m]."""
         return np.array([seen.solid.middle_m for seen in self.objects], dtype=np.float64).reshape(-1, 3)
 
     def scene(self) -> Scene:
-        """Return what the world needs to know of this view."""
+        """Scene of this view for a world."""
         return Scene(self.hides, self.name, places_m=self.places_m[:, :2])
 
 
 def perceive(cloud: Cloud, sensor: DepthSensor = XTION) -> View:
-    """Find the table in a cloud, what stands on it, and who hides whom.
+    """Find the table in a cloud, the objects on it, and who hides whom.
 
     Parameters
     ----------
     cloud
-        What one depth camera returned.
+        Cloud of one depth camera.
     sensor
-        Which camera: how far its depths err.
+        The depth camera, for the noise of its depths.
 
     Returns
     -------
     View
-        Without objects if the table is empty. One cloud gives one view, to the last bit.
+        View of the table; without objects if it is empty. The result is deterministic to the last bit.
 
     Raises
     ------
     CloudError
-        There are too few points, or no table.
+        There are too few points, or there is no table.
     """
     try:
         return _perceived(cloud, sensor)
@@ -202,7 +203,7 @@ def _is_upright(solid: Vessel | Hull, extent_m: Vector, height_m: float) -> bool
 
 
 def most_hidden(objects: Sequence[SeenObject]) -> SeenObject:
-    """Return the object that is hidden most; the first of equals.
+    """Return the object with the largest hidden share, the first one among equals.
 
     Parameters
     ----------
@@ -213,27 +214,27 @@ def most_hidden(objects: Sequence[SeenObject]) -> SeenObject:
 
 
 LOWEST_M, HIGHEST_M = 0.045, 0.17
-"""Heights that a cup has, standing or lying [m]: on the ten tables that come with halfseen, 0.062 to 0.149."""
+"""Range of a cup's height, standing or lying [m]; on the ten tables that come with halfseen, 0.062 to 0.149."""
 
 WIDEST_M = 0.19
-"""Longest that a cup is, across, handle included [m]: on these tables, 0.154."""
+"""Largest width of a cup, including the handle [m]; on these tables, 0.154."""
 
 LARGEST_SHARE = 1.0 / 3.0
-"""Share of objects without a cup's shape up to which they may be cups that were badly seen."""
+"""Up to this share, objects without a cup's shape may be badly perceived cups."""
 
 
 def other_things(view: View) -> tuple[int, ...]:
-    """Find the objects of a view that are surely no cups.
+    """Find the objects of a view that are certainly not cups.
 
     Parameters
     ----------
     view
-        What a camera sees, by `halfseen.perception.perceive`.
+        View from `halfseen.perception.perceive`.
 
     Returns
     -------
     tuple
-        Their numbers, rising; empty where all may be cups.
+        Their numbers in increasing order; empty if all may be cups.
     """
     is_odd = {seen.id: _has_other_height(seen) or _has_other_shape(seen) for seen in view.objects}
     if sum(is_odd.values()) > LARGEST_SHARE * len(view.objects):
@@ -242,12 +243,12 @@ def other_things(view: View) -> tuple[int, ...]:
 
 
 def other_things_in_words(view: View) -> str:
-    """Say which objects are no cups, and by what; nothing where all may be.
+    """Describe the objects that are not cups, with reasons; an empty string if all may be cups.
 
     Parameters
     ----------
     view
-        What a camera sees.
+        The view to check.
     """
     odd = [view.objects[index] for index in other_things(view)]
     if not odd:

@@ -1,8 +1,8 @@
-"""By how much points miss the walls of vessels, and how that changes with where these are: what a fit makes small.
+"""Residuals of points from the walls of vessels, and their Jacobians, for least-squares fits.
 
-Parameters of a standing vessel are its place (right, away), a radius and a slope; of a lying one, its place (aside,
-height), a radius, a slope, and the direction and tilt of its axis. Residuals are those of the points, then how far
-parameters are from what is usual. Many vessels are worked out at once, each beside points of its own.
+Parameters of a standing vessel are its position (right, away), a radius and a slope; those of a lying one, its position
+(aside, height), a radius, a slope, and the direction and tilt of its axis. The residuals of the points come first, then
+those of the prior on the parameters. Many vessels are computed in one batch, each with its own points.
 """
 
 from collections.abc import Sequence
@@ -16,22 +16,22 @@ from halfseen.perception.clouds import Vector
 from halfseen.perception.marquardt import Bounds, Frees, Residuals, Slopes, soft_l1
 from halfseen.shapes import Bool, Float, Shaped
 
-# Residuals of a fit are counted in units of this noise across a wall [m]; larger ones (handle, bottom) count linearly.
+# Noise unit of residuals across a wall [m]; larger ones (handle, bottom) have linear cost.
 WALL_NOISE_M = 0.003
-# What is usual for a vessel, so that a narrow stripe of wall does not become a barrel: mean and spread of the radius
-# [m] and of the slope of the wall.
+# Prior mean and spread of a vessel's radius [m] and of the slope of its wall; it keeps a narrow visible strip of wall
+# from being fitted as a barrel.
 USUAL_RADIUS_M, RADIUS_SPREAD_M = 0.040, 0.020
 USUAL_SLOPE, SLOPE_SPREAD = 0.10, 0.12
 SMALLEST_RADIUS_M, LARGEST_RADIUS_M = 0.008, 0.13
 STEEPEST_SLOPE = 1.5
-# A point on an axis has no direction from it.
+# Smallest distance from an axis [m]; a point on an axis has no radial direction.
 SMALLEST_M = 1e-12
 
 OfPoints = Float[np.ndarray, "k n"]
 
 
 def _bounds(num_free: int) -> Bounds:
-    """Bounds of radius and slope, the third and the fourth parameter."""
+    """Bounds of the parameters; only radius and slope, the third and fourth, are bounded."""
     low, high = np.full(num_free, -np.inf), np.full(num_free, np.inf)
     low[2:4], high[2:4] = (SMALLEST_RADIUS_M, -STEEPEST_SLOPE), (LARGEST_RADIUS_M, STEEPEST_SLOPE)
     return Bounds(low, high)
@@ -42,14 +42,14 @@ STANDING_BOUNDS, LYING_BOUNDS = _bounds(4), _bounds(6)
 
 @dataclass(frozen=True, eq=False)
 class Walls:
-    """Vessels beside points of their own: as many as the longest set has, beside a weight.
+    """A batch of vessels with their points, padded to the size of the largest set.
 
     Parameters
     ----------
     right_m, away_m, height_m
-        Points, from the middle of each set [m]; of the padding anything.
+        Points relative to the middle of each set [m]; arbitrary in the padding.
     weight_per_m
-        One over the noise of a point; 0 for the padding [1/m].
+        Inverse noise of each point [1/m]; 0 in the padding.
     """
 
     right_m: OfPoints
@@ -58,11 +58,11 @@ class Walls:
     weight_per_m: OfPoints
 
     def at(self, p: Frees) -> tuple[Residuals, Slopes]:
-        """Residuals of each, and how each parameter changes them."""
+        """Residuals of each vessel and their Jacobian."""
         raise NotImplementedError
 
     def misfits(self, p: Frees) -> Float[np.ndarray, " k"]:
-        """Mean robust cost of a point of each."""
+        """Mean robust cost of a point of each vessel."""
         residuals = self.at(p)[0][:, : self.weight_per_m.shape[1]]
         return soft_l1(residuals).sum(axis=1) / np.count_nonzero(self.weight_per_m, axis=1)
 
@@ -72,7 +72,7 @@ class Walls:
 
 
 def _padded(sets: Sequence[Float[np.ndarray, "_ 3"]], middles_m: Float[np.ndarray, "k 3"]) -> dict[str, OfPoints]:
-    """Points from the middles, and their weights."""
+    """Padded points relative to the middles, and their weights."""
     points_m = np.ones((4, len(sets), max(map(len, sets))))
     points_m[3] = 0.0
     for k, points in enumerate(sets):
@@ -83,25 +83,25 @@ def _padded(sets: Sequence[Float[np.ndarray, "_ 3"]], middles_m: Float[np.ndarra
 
 @dataclass(frozen=True, eq=False)
 class StandingWalls(Walls):
-    """Walls of standing vessels beside points."""
+    """Walls of standing vessels with their points."""
 
     @classmethod
     def of(cls, sets: Sequence[Float[np.ndarray, "_ 3"]], middle_heights_m: Sequence[float]) -> "StandingWalls":
-        """Put each vessel beside its points.
+        """Batch sets of points.
 
         Parameters
         ----------
         sets
-            Points of each, as (right, away, height) [m].
+            Points of each vessel as (right, away, height) [m].
         middle_heights_m
-            Where the radius of each holds [m].
+            Height at which the radius of each vessel is defined [m].
         """
         middles_m = np.zeros((len(sets), 3))
         middles_m[:, 2] = middle_heights_m
         return cls(**_padded(sets, middles_m))
 
     def at(self, p: Frees) -> tuple[Residuals, Slopes]:
-        """Residuals of each, and how each parameter changes them."""
+        """Residuals of each vessel and their Jacobian."""
         right, away, weight = self.right_m - p[:, :1], self.away_m - p[:, 1:2], self.weight_per_m
         across = np.maximum(np.sqrt(right * right + away * away), SMALLEST_M)
         residuals, slopes = _rows(p, across, 2)
@@ -115,16 +115,16 @@ class StandingWalls(Walls):
 
 @dataclass(frozen=True, eq=False)
 class LyingWalls(Walls):
-    """Walls of lying vessels beside points.
+    """Walls of lying vessels with their points.
 
     Parameters
     ----------
     right_m, away_m, height_m, weight_per_m
-        As of others; heights are over the table [m].
+        As for `Walls`; heights are over the table [m].
     middle_m
-        Beside which the place of each is [m].
+        Reference point of each vessel's position [m].
     rest_spread_m, tilt_spread_rad
-        How far each axis is from where it is when the wall touches the table: in height [m], tilt [rad].
+        Prior spread of each axis about its pose with the wall on the table: height [m], tilt [rad].
     """
 
     middle_m: Float[np.ndarray, "k 3"]
@@ -139,22 +139,22 @@ class LyingWalls(Walls):
         rest_spread_m: float | Rows,
         tilt_spread_rad: float | Rows,
     ) -> "LyingWalls":
-        """Put each vessel beside its points.
+        """Batch sets of points.
 
         Parameters
         ----------
         sets
-            Points of each, as (right, away, height) [m].
+            Points of each vessel as (right, away, height) [m].
         middles_m, rest_spread_m, tilt_spread_rad
-            As of the class; one spread is that of all.
+            As for the class; a single spread applies to all vessels.
         """
         middle_m = np.array(middles_m) * [1.0, 1.0, 0.0]
         rest, tilt = (np.full(len(sets), spread) for spread in (rest_spread_m, tilt_spread_rad))
         return cls(**_padded(sets, middle_m), middle_m=middle_m, rest_spread_m=rest, tilt_spread_rad=tilt)
 
     def at(self, p: Frees) -> tuple[Residuals, Slopes]:
-        """Residuals of each, and how each parameter changes them."""
-        # Points in the frame of each axis, and on the table along its direction and across: as of turned unit vectors.
+        """Residuals of each vessel and their Jacobian."""
+        # Points in the frame of each axis, and on the table along and across its direction.
         (cosine, level), (sine, steep) = np.cos(p[:, 4:]).T[..., None], np.sin(p[:, 4:]).T[..., None]
         from_middle = cosine * self.away_m - sine * self.right_m
         ahead, up = cosine * self.right_m + sine * self.away_m, self.height_m - p[:, 1:2]
@@ -178,7 +178,7 @@ class LyingWalls(Walls):
         return residuals, slopes
 
     def places(self, p: Frees) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
-        """Centres and axes of each."""
+        """Centre and axis of each vessel."""
         along, across, level = np.cos(p[:, 4]), np.sin(p[:, 4]), np.cos(p[:, 5])
         axes, centres_m = np.empty((len(p), 3)), np.empty((len(p), 3))
         axes[:, 0], axes[:, 1], axes[:, 2] = level * along, level * across, np.sin(p[:, 5])
@@ -188,7 +188,7 @@ class LyingWalls(Walls):
         return centres_m, axes
 
     def _unrested(self, p: Frees, residuals: Float[np.ndarray, "k 2"], slopes: Float[np.ndarray, "k p 2"]) -> None:
-        """How far the axis is from where it is when the vessel rests on the table."""
+        """Prior residuals of the axis relative to its pose when the wall rests on the table."""
         radius, slope = p[:, 2], p[:, 3]
         shorter, closer, steadier = (
             1.0 / np.sqrt(1.0 + slope * slope),
@@ -204,7 +204,7 @@ class LyingWalls(Walls):
 
 
 def _rows(p: Frees, across: OfPoints, num_more: int) -> tuple[Residuals, Slopes]:
-    """Room for residuals, and for how they change; the last do with few parameters."""
+    """Allocate residuals and their Jacobian, with zeros for the last rows, which depend on few parameters."""
     num_rows = across.shape[1] + num_more
     slopes = np.empty((*p.shape, num_rows))
     slopes[:, :, -num_more:] = 0.0
@@ -212,7 +212,7 @@ def _rows(p: Frees, across: OfPoints, num_more: int) -> tuple[Residuals, Slopes]
 
 
 def _unusual(p: Frees, residuals: Shaped[np.ndarray, "k 2"], slopes: Shaped[np.ndarray, "k p 2"]) -> None:
-    """How far radius and slope are from what is usual."""
+    """Prior residuals of radius and slope."""
     residuals[:, 0] = (p[:, 2] - USUAL_RADIUS_M) / RADIUS_SPREAD_M
     residuals[:, 1] = (p[:, 3] - USUAL_SLOPE) / SLOPE_SPREAD
     slopes[:, 2, 0], slopes[:, 3, 1] = 1.0 / RADIUS_SPREAD_M, 1.0 / SLOPE_SPREAD

@@ -1,6 +1,6 @@
-"""Laws that are estimated from what a cell tried, not assumed.
+"""Laws of grasping, durations and seeing, estimated from a cell's attempts.
 
-`attempts` (logs → attempts, labels, shares) → `fits` (the laws of grasping, of times and of seeing) → `law` (all of
-them, a world under them, and its folder, with `figures` of it).
-The attempts themselves are a campaign: `halfseen.cell.campaign.attempts_of`.
+`attempts` (logs → attempts, labels, shares) → `fits` (the laws of grasping, durations and seeing) → `law` (all of them,
+a world under them, and their folder, with `figures`).
+The attempts themselves come from a campaign: `halfseen.cell.campaign.attempts_of`.
 """

@@ -1,11 +1,10 @@
-"""From the log of a cell to what its laws are fitted to: attempts, labels, and shares of attempts that held.
+"""Data for the laws of a cell, from its log: attempts, labels, and the share of attempts that held.
 
-Attempts of one table are alike. With weights w, outcomes y, predictions q and tables g, the share that held is
-p = Σ w y / Σ w. Its standard error is that of p − Σ w q / Σ w, a ratio, by the sums of its residuals over tables;
-predictions leave less to chance. So few attempts miss that intervals by a normal law would leave [0, 1]: the interval
-is Wilson's [Wilson1927]_ for as many independent attempts as would give that standard error [KornGraubard1998]_, and
-never for more than there are tables where all, or none, held. Less the mean prediction, it is the interval of the
-difference.
+Attempts on one table are correlated. With weights w, outcomes y, predictions q and tables g, the share that held is
+p = Σ w y / Σ w. Its standard error is that of p − Σ w q / Σ w, from sums of residuals over tables. Predictions
+lower the variance. Few attempts miss, so normal intervals would leave [0, 1]. The interval is Wilson's [Wilson1927]_
+for the number of independent attempts with the same standard error [KornGraubard1998]_; if all or none held, that
+number is the number of tables. Minus the mean prediction, it is the interval of the difference.
 """
 
 from dataclasses import fields
@@ -23,33 +22,33 @@ from halfseen.logs.columns import as_floats, refuse, require_columns
 from halfseen.shapes import Float, Int
 from halfseen.tables.grasp_attempts import attempts
 
-FACTS = tuple(each.name for each in fields(Facts))  # what is seen of an object that may make it hard to grip
+FACTS = tuple(each.name for each in fields(Facts))  # visible properties that may make an object hard to grip
 GLANCES = ("glance_occlusions", "glance_held", "glance_dirty")
-HORIZON = 12  # attempts on one table of a calibration, at most
-LARGEST_M = 100.0  # of what stands on a table [m]
+HORIZON = 12  # largest number of attempts on one table of a calibration
+LARGEST_M = 100.0  # largest length of an object on a table [m]
 _AT = ["trajectory", "stage", "object"]
 
 
 def trials(logs: Logs, horizon: int) -> pd.DataFrame:
-    """List every attempt of a cell, cut ones included, with what was seen of its object before.
+    """List every attempt of a cell, including cut ones, with the facts of its object before the attempt.
 
     Parameters
     ----------
     logs
-        Of a cell: objects have `FACTS` and ``attempt_s``, the durations of their past attempts [s].
+        Log of a cell: objects have `FACTS` and ``attempt_s``, the durations of their past attempts [s].
     horizon
-        Stages after which a table ends by itself: nobody wrote down what became of an attempt in the last.
+        Number of stages after which a table ends by itself; the log has no outcome of an attempt in the last.
 
     Returns
     -------
     DataFrame
-        As `halfseen.tables.attempts`, with `FACTS` and attempt_s, the time until it was known whether the
-        attempt held (NaN where it was cut) [s].
+        As `halfseen.tables.attempts`, with `FACTS` and attempt_s, the time until the outcome of the attempt was known
+        (NaN if it was cut) [s].
 
     Raises
     ------
     LogError
-        The log is not of a cell, or a fact is none that an object on a table can have.
+        The log is not from a cell, or a fact is impossible for an object on a table.
     """
     table = attempts(logs, horizon)
     assert logs.objects is not None, "attempts are read from logs with objects"
@@ -70,23 +69,22 @@ def trials(logs: Logs, horizon: int) -> pd.DataFrame:
 
 
 def glances(logs: Logs) -> pd.DataFrame:
-    """List every object of a log with all its labels, and the true state that was recorded of it.
+    """List every object of a log with all its labels and its recorded true state.
 
     Parameters
     ----------
     logs
-        Of a cell: objects have `GLANCES` and ``is_dirty``.
+        Log of a cell: objects have `GLANCES` and ``is_dirty``.
 
     Returns
     -------
     DataFrame
-        One row an object of a trajectory: trajectory, object, is_dirty, and the lists `GLANCES` as they were at its
-        last stage.
+        One row per object of a trajectory: trajectory, object, is_dirty, and the lists `GLANCES` at its last stage.
 
     Raises
     ------
     LogError
-        The log is not of a cell, or has no true states.
+        The log is not from a cell, or has no true states.
     """
     if logs.objects is None:
         raise LogError("the log has no objects; give one that a cell recorded")
@@ -99,7 +97,7 @@ LEVEL = 0.95
 
 
 class Share(NamedTuple):
-    """Of some attempts: the weighted share that held with its 95 % interval, and the weighted mean prediction."""
+    """Weighted share of attempts that held, with its 95 % confidence interval, and the weighted mean prediction."""
 
     held: float
     low: float
@@ -110,22 +108,22 @@ class Share(NamedTuple):
 
     @property
     def difference(self) -> float:
-        """Share that held, less predicted."""
+        """Share that held minus the mean prediction."""
         return self.held - self.predicted
 
 
 def clustered_share(held: RowMask, predicted: Rows, weight: Rows, tables: Int[np.ndarray, " n"]) -> Share:
-    """Give the share that held.
+    """Estimate the share of attempts that held, with attempts clustered by table.
 
     Parameters
     ----------
     predicted
-        Probability that was predicted; any constant where nothing was.
+        Predicted probabilities; any constant if there are none.
     weight
-        1/Ĝ of each.
+        Censoring weight 1/Ĝ of each attempt.
     """
     total, names = weight.sum(), np.unique(tables)
-    # Rounding must not make a share of those that all held.
+    # If all held, rounding must not make the share differ from 1.
     share = float(weight @ held / total) if not held.all() else 1.0
     mean, num_tables = float(weight @ predicted / total), len(names)
     if held.any() and not held.all() and num_tables > 1:
@@ -133,7 +131,7 @@ def clustered_share(held: RowMask, predicted: Rows, weight: Rows, tables: Int[np
         sums = np.bincount(np.searchsorted(names, tables), residual)
         variance = num_tables / (num_tables - 1) * np.sum(sums**2) / total**2
         size = share * (1.0 - share) / max(variance, np.finfo(np.float64).tiny)
-        # Attempts that were predicted to the last are as many as there are, not endlessly many.
+        # With perfect predictions, the effective size is the number of attempts, not infinite.
         size = min(size, float(len(held)))
     else:
         size = float(num_tables)
@@ -142,18 +140,18 @@ def clustered_share(held: RowMask, predicted: Rows, weight: Rows, tables: Int[np
 
 
 def wilson(share: float, size: float) -> tuple[float, float]:
-    """Ends of the 95 % interval of a share of so many independent attempts [Wilson1927]_."""
+    """Ends of the 95 % interval of a share of `size` independent attempts [Wilson1927]_."""
     z = float(stats.norm.ppf(0.5 + LEVEL / 2))
     middle = (share + z**2 / (2 * size)) / (1 + z**2 / size)
     reach = z / (1 + z**2 / size) * np.sqrt(share * (1 - share) / size + z**2 / (4 * size**2))
-    # Rounding must not leave the share outside.
+    # Rounding must not put the share outside its interval.
     return min(float(middle - reach), share), max(float(middle + reach), share)
 
 
 def shares_by(
     groups: Int[np.ndarray, " n"], held: RowMask, predicted: Rows, weight: Rows, tables: Int[np.ndarray, " n"]
 ) -> dict[int, Share]:
-    """Give the share that held in each group of attempts, by its number; empty groups are left out."""
+    """Estimate the share that held in each group of attempts, by group number; empty groups are left out."""
     found: dict[int, Share] = {}
     for group in np.unique(groups):
         rows = groups == group
@@ -162,11 +160,11 @@ def shares_by(
 
 
 OCCLUSION_EDGES: Float[np.ndarray, " edges"] = np.array([0.0, 0.01, 0.2, 0.4, 0.6, 1.0])
-"""Ends of the bins; in the first nothing is hidden, as far as one can see."""
+"""Edges of the bins; in the first, practically nothing is hidden."""
 
 
 def occlusion_bins(occlusion: Rows) -> Int[np.ndarray, " n"]:
-    """Give the number of the bin of each attempt; its lower end belongs to a bin.
+    """Bin number of each attempt; a bin includes its lower edge.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The pictures beside the numbers of a law."""
+"""The figures of a law."""
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
@@ -24,20 +24,20 @@ from halfseen.tables.grasp_attempts import checked_attempts
 from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
 
 HELD_TITLE = "How often attempts held, and what the law that was fitted to them says"
-PARTS = 3  # groups of attempts by width and by room, about alike in number
+PARTS = 3  # number of quantile groups by width and by room
 _HELD_APART = 0.12
-Panels = Mapping[str, Mapping[str, Share]]  # shares by the name of their group, by what they are grouped by
+Panels = Mapping[str, Mapping[str, Share]]  # shares by grouping variable, then by group name
 
 
 def held_shares(theta: Float[np.ndarray, " p"], trials: pd.DataFrame) -> Panels:
-    """Count what held and sum what the law says, given past attempts; attempts weigh 1/Ĝ.
+    """Compare the share that held with the law's predictions given past attempts; attempts have weight 1/Ĝ.
 
     Parameters
     ----------
     theta
         Estimates of `halfseen.cell.calibration.fits.NAMES`.
     trials
-        As `halfseen.cell.calibration.attempts.trials` gives them.
+        Attempts from `halfseen.cell.calibration.attempts.trials`.
     """
     decided = checked_attempts(trials)
     said, met = held_given_past(theta, trials)[decided.row], trials.iloc[decided.row]
@@ -64,7 +64,7 @@ def draw_held(panels: Panels) -> Figure:
     Parameters
     ----------
     panels
-        As `held_shares` gives them.
+        Shares from `held_shares`.
     """
     figure = Figure(figsize=(WIDTH_INCHES, 4.0))
     top = pages.write_title(figure, HELD_TITLE)
@@ -103,7 +103,7 @@ def _draw_panel(axes: Axes, by: str, shares: Mapping[str, Share]) -> None:
 
 
 def _parts(values: Rows) -> tuple[Int[np.ndarray, " n"], list[str]]:
-    """Groups about alike in number, and the values that each spans."""
+    """Group number of each value, in groups of about equal size, and the range of values of each group."""
     edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, PARTS + 1)))
     names = [f"{low:.1f}–{high:.1f}" for low, high in pairwise(edges.tolist())]
     return np.searchsorted(edges[1:-1], values, side="right").astype(np.int64), names or [f"{edges[0]:.1f}"]
@@ -115,11 +115,11 @@ LINES = {
     True: ("sensitivity", "dirty objects that were found", BLUE, "o", 1),
     False: ("false_alarms", "clean objects that were taken for dirty", RED, "s", -1),
 }
-"""Of dirty objects and of clean ones: the curve, its name, how it is drawn, and on which side of a place."""
+"""For dirty and for clean objects: attribute of the curve, its name, colour and marker, and side of the offset."""
 
 
 class Count(NamedTuple):
-    """Objects that were seen to about the same share (mean of their surface): those whose label said DIRTY, and all."""
+    """Objects with about the same share in view (`view` is its mean): number labelled DIRTY, and number of all."""
 
     view: float
     num_labelled: int
@@ -127,15 +127,15 @@ class Count(NamedTuple):
 
 
 def counted(rows: pd.DataFrame, seeing: PersistentSeeing) -> list[Count]:
-    """Count the objects whose first label said DIRTY, by the share that it showed; and those that had by being held.
+    """Count objects whose first label was DIRTY, by the share in view; and those labelled DIRTY by when they were held.
 
-    Whatever a later look shows depends on what was done before; the first does not, and which objects are lifted is
-    drawn at random. So these shares estimate the curve with nothing assumed between its knots.
+    What later looks show depends on earlier actions; the first look does not, and lifted objects are chosen at random.
+    These shares therefore estimate the curve without assumptions between its knots.
 
     Parameters
     ----------
     rows
-        Objects that are dirty, or that are clean, as `halfseen.cell.calibration.attempts.glances` gives them.
+        Dirty objects, or clean objects, from `halfseen.cell.calibration.attempts.glances`.
     """
     columns = (rows[name] for name in ("glance_occlusions", "glance_held", "glance_dirty"))
     labels = [
@@ -158,7 +158,7 @@ def counted(rows: pd.DataFrame, seeing: PersistentSeeing) -> list[Count]:
 
 
 def _by_being_held(labels: Iterable[tuple[float, bool, bool]]) -> bool:
-    """Whether the label of an object said DIRTY when it was first seen in the hand."""
+    """Whether an object was labelled DIRTY by the time it was first seen in the hand."""
     for _, is_held, says_dirty in labels:
         if says_dirty or is_held:
             return says_dirty
@@ -166,12 +166,12 @@ def _by_being_held(labels: Iterable[tuple[float, bool, bool]]) -> bool:
 
 
 def draw_labels(seeing: PersistentSeeing, glances: pd.DataFrame) -> Figure:
-    """Draw both curves, and what was counted.
+    """Draw both curves and the counts.
 
     Parameters
     ----------
     glances
-        What they were fitted to, as `halfseen.cell.calibration.attempts.glances` gives it.
+        Data of the fit, from `halfseen.cell.calibration.attempts.glances`.
     """
     figure = Figure(figsize=(WIDTH_INCHES, 4.6))
     top = pages.write_title(figure, LABELS_TITLE)
@@ -211,7 +211,7 @@ KINDS = ("svg", "png")
 def pictures_of(
     theta: Float[np.ndarray, " p"], seeing: PersistentSeeing, logs: Logs
 ) -> Mapping[str, Callable[[Path], None]]:
-    """Give what writes each picture of a law, by the name of its file."""
+    """Functions that write the figures of a law, by file name."""
     panels = held_shares(theta, trials(logs, attempts.HORIZON))
     figures = {"held": partial(draw_held, panels), "labels": partial(draw_labels, seeing, glances(logs))}
 

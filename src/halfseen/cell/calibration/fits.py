@@ -1,25 +1,24 @@
-"""What a cell's laws are fitted by: P(an attempt holds), times of attempts, and what labels tell of what was in view.
+"""Fits of a cell's laws: the probability that an attempt holds, durations of attempts, and labels by the share in view.
 
-*P(an attempt holds), given what is seen*, is a logistic regression with a random offset of each object, under
-censoring. For attempts i of object g, with covariates x_i and weights w_i ∝ δ_i / Ĝ(time_i⁻) of mean 1,
+*P(an attempt holds), given visible facts*, is a logistic regression with a random offset per object, under censoring.
+For attempts i of object g, with covariates x_i and weights w_i ∝ δ_i / Ĝ(time_i⁻) of mean 1,
 
     ℓ(β, σ) = Σ_g log ∫ Π_{i ∈ g} expit(±(x_i·β + σ z))^{w_i} φ(z) dz,
 
-the integral by Gauss–Hermite quadrature, plus a weak normal prior. An attempt that was cut weighs nothing, and stands
-for by those that were seen. Standard errors are robust, tables being the clusters [LiangZeger1986]_.
+with the integral by Gauss–Hermite quadrature and a weak normal prior. A cut attempt has weight 0; the weights of the
+others represent it. Standard errors are robust, with tables as clusters [LiangZeger1986]_.
 
-The offset of an object is never seen, but its past attempts j tell of it. With φ the standard normal density,
+The offset of an object is latent, but its past attempts j are evidence of it. With φ the standard normal density,
 
     P(held | x, past) = ∫ expit(x·β + σz) Π_j expit(±(x_j·β + σz)) φ(z) dz / ∫ Π_j expit(±(x_j·β + σz)) φ(z) dz,
 
-both integrals at the same nodes.
+with both integrals at the same nodes.
 
-*Times* of attempts are lognormal, for those that hold and those that miss.
+*Durations* of attempts are lognormal, with separate means for those that hold and those that miss.
 
-*Labels.* An object tells what it is at some share V of its surface: a stain is found when so much has been in view, or
-never. What is known of V is an interval, from what had been seen before the label that said DIRTY to what was seen with
-it; or that V lies beyond all that was seen. The curve P(V ≤ v) is a straight line between knots; its steps maximise the
-likelihood, found by self-consistency [Turnbull1976]_.
+*Labels.* An object is labelled DIRTY once a share V of its surface has been in view, or never. V is interval-censored:
+it lies between the shares seen before and with the first DIRTY label, or beyond all that was seen. The curve P(V ≤ v)
+is linear between knots; its steps are the maximum-likelihood estimates, found by self-consistency [Turnbull1976]_.
 """
 
 from collections.abc import Callable, Iterable
@@ -43,7 +42,7 @@ CENTRES, SCALES = (
     {"is_lying": 1.0, "width_m": 0.02, "room_m": 0.03},
 )
 """Facts enter as (fact − centre) / scale: a standing cup 7.5 cm wide with 4 cm of room has offset 0."""
-NAMES = ("log_odds", "occlusion", *FACTS, "log_offset_std")  # of the parameters, in their order
+NAMES = ("log_odds", "occlusion", *FACTS, "log_offset_std")  # names of the parameters, in order
 _PRIOR_MEAN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.log(0.5)])
 _PRIOR_STD = np.array([5.0, 5.0, 5.0, 2.0, 2.0, 1.0])
 _NUM_NEWTON_STEPS = 4
@@ -52,9 +51,9 @@ _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(15)
 
 @dataclass(frozen=True)
 class GraspFit:
-    """What attempts tell of P(held): estimates of `NAMES`, and their covariance, robust, tables being clusters.
+    """Fit of P(held): estimates of `NAMES`, and their robust covariance with tables as clusters.
 
-    Beside them stand the numbers of attempts that were decided and cut, and the effective sample size of the weights.
+    Also the numbers of decided and of cut attempts, and the effective sample size of the weights.
     """
 
     estimate: Float[np.ndarray, " p"]
@@ -65,52 +64,52 @@ class GraspFit:
 
     @property
     def standard_error(self) -> Float[np.ndarray, " p"]:
-        """Of each estimate."""
+        """Standard error of each estimate."""
         return np.sqrt(np.diag(self.covariance))
 
 
 def design(trials: pd.DataFrame) -> Float[np.ndarray, "n k"]:
-    """Give the covariates of attempts: 1, the occlusion, and the facts as `CENTRES` and `SCALES` have them.
+    """Covariates of attempts: 1, the occlusion, and the facts standardised by `CENTRES` and `SCALES`.
 
     Parameters
     ----------
     trials
-        With occlusion and `FACTS`.
+        Attempts with occlusion and `FACTS`.
     """
     facts = [(trials[name].to_numpy(dtype=np.float64) - CENTRES[name]) / SCALES[name] for name in FACTS]
     return np.column_stack([np.ones(len(trials)), trials["occlusion"], *facts])
 
 
 def fit_grasping(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> GraspFit:
-    """Fit the regression.
+    """Fit the regression of P(held).
 
     Parameters
     ----------
     trials
-        As `halfseen.cell.calibration.attempts.trials` gives them.
+        Attempts from `halfseen.cell.calibration.attempts.trials`.
     censoring
         As in `halfseen.tables.grasp_models.BetaGrasp`.
 
     Raises
     ------
     ArgumentError
-        A value is none that an attempt can have, or none was decided.
+        A value is impossible for an attempt, or no attempt was decided.
     PositivityError
         A weight is not identified.
     LogError
-        No finite numbers fit them.
+        The estimates are not finite.
     """
     decided = checked_attempts(trials, censoring)
     kept = trials["is_finished"].to_numpy(dtype=bool)
-    # Rows of one object follow one another's number; an integral is taken over each.
+    # Number the objects from 0; each has its own integral.
     objects = pd.factorize(decided.group)[0].astype(np.int64)
     clusters = pd.factorize(trials["trajectory"][kept])[0].astype(np.int64)
-    # Of mean 1: within the integral over an object's offset, attempts that weigh more would seem to be more.
+    # The mean weight is 1: within the integral over an offset, larger weights would act like more attempts.
     weight = decided.weight / decided.weight.mean()
     data = _Data(design(trials)[kept], np.where(decided.succeeded, 1.0, -1.0), weight, objects)
     estimate = minimize(lambda theta: _posterior(theta, data)[:2], _PRIOR_MEAN, jac=True).x
     for _ in range(_NUM_NEWTON_STEPS):
-        # To the last digits, so that every machine finds the same.
+        # Converge to the last digits, so that every machine finds the same estimate.
         _, gradient, _, curvature = _posterior(estimate, data)
         estimate = estimate - np.linalg.solve(curvature(), gradient)
     _, _, scores, curvature = _posterior(estimate, data)
@@ -127,7 +126,7 @@ def fit_grasping(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> Grasp
 
 
 class _Data(NamedTuple):
-    """Attempts that were decided."""
+    """Decided attempts."""
 
     covariates: Float[np.ndarray, "n k"]
     sign: Float[np.ndarray, " n"]
@@ -138,7 +137,7 @@ class _Data(NamedTuple):
 def _posterior(
     theta: Float[np.ndarray, " p"], data: _Data
 ) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, "objects p"], Callable[[], Float[np.ndarray, "p p"]]]:
-    """Negative log-posterior, its gradient, that of each object's log-likelihood, and the Hessian when it is asked for.
+    """Negative log-posterior, its gradient, the gradient of each object's log-likelihood, and the Hessian on demand.
 
     With l_q the log-likelihood of an object at node q of its offset, and π_q its posterior there, the gradient of
     log Σ_q e^{l_q} is Σ π l', and its Hessian Σ π (l'' + l' l'ᵀ) − (Σ π l')(Σ π l')ᵀ.
@@ -146,7 +145,7 @@ def _posterior(
     num_objects, std = int(data.objects.max()) + 1, np.exp(theta[-1])
     logits = data.sign[:, None] * ((data.covariates @ theta[:-1])[:, None] + std * _NODES)
     slope = data.weight[:, None] * data.sign[:, None] * expit(-logits)
-    # How each logit moves with each parameter, by node.
+    # Derivative of each logit with respect to each parameter, by node.
     moves = np.concatenate(
         [
             np.broadcast_to(data.covariates[:, None], (*logits.shape, len(theta) - 1)),
@@ -170,7 +169,7 @@ def _posterior(
     def curvature() -> np.ndarray:
         bend = -data.weight[:, None] * expit(logits) * expit(-logits)
         hessians = by_object(bend[..., None, None] * moves[..., :, None] * moves[..., None, :])
-        # The last parameter is a logarithm: its logit bends, too.
+        # The last parameter is a logarithm, so the logit has a second derivative in it.
         hessians[..., -1, -1] += by_object(slope * std * _NODES)
         curved = np.einsum("oq,oqpr->pr", chance, hessians + gradients[..., :, None] * gradients[..., None, :])
         return np.diag(_PRIOR_STD**-2) - (curved - scores.T @ scores)
@@ -180,19 +179,19 @@ def _posterior(
 
 
 _MANY_NODES, _MANY_WEIGHTS = np.polynomial.hermite_e.hermegauss(41)
-# More nodes than the fit has: at a few of them alone is what an object with many attempts has left of its offset.
+# More nodes than the fit: the offset's posterior for an object with many attempts is narrow.
 
 
 def held_given_past(theta: Float[np.ndarray, " p"], trials: pd.DataFrame) -> Float[np.ndarray, " n"]:
-    """Predict each attempt from those before it at the same object.
+    """Predict each attempt from earlier attempts on the same object.
 
     Parameters
     ----------
     theta
         Estimates of `halfseen.cell.calibration.fits.NAMES`.
     trials
-        As `halfseen.cell.calibration.attempts.trials` gives them, with all past attempts at each object. What became of
-        an attempt is read for later ones alone; one that was cut tells them nothing.
+        Attempts from `halfseen.cell.calibration.attempts.trials`, with all past attempts on each object. The outcome of
+        an attempt enters only later predictions; a cut attempt enters none.
     """
     logits = (design(trials) @ theta[:-1])[:, None] + np.exp(theta[-1]) * _MANY_NODES
     is_decided = trials["succeeded"].notna().to_numpy()
@@ -207,26 +206,26 @@ def held_given_past(theta: Float[np.ndarray, " p"], trials: pd.DataFrame) -> Flo
 
 
 def held_share(theta: Float[np.ndarray, " p"], covariates: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
-    """P(held) at the first attempt: the offset integrated out.
+    """P(held) of a first attempt, with the offset integrated out.
 
     Parameters
     ----------
     theta
-        As in `held_given_past`.
+        As for `held_given_past`.
     covariates
-        As `halfseen.cell.calibration.fits.design` gives them.
+        Covariates from `halfseen.cell.calibration.fits.design`.
     """
     logits = (covariates @ theta[:-1])[:, None] + np.exp(theta[-1]) * _MANY_NODES
     return expit(logits) @ (_MANY_WEIGHTS / _MANY_WEIGHTS.sum())
 
 
-FEWEST_MISSES = 5  # with fewer, a miss is taken to last as long as an attempt that holds
+FEWEST_MISSES = 5  # with fewer, the mean duration of misses is that of all attempts
 
 
 class TimeFit(NamedTuple):
-    """Means of the logarithms of the durations of attempts that hold and that miss, and their standard deviation.
+    """Mean log durations of attempts that hold and that miss, and their standard deviation.
 
-    `rest_s` is the mean time of what follows an attempt, until the next decision [s].
+    `rest_s` is the mean time from the end of an attempt to the next decision [s].
     """
 
     log_held_s: float
@@ -236,13 +235,12 @@ class TimeFit(NamedTuple):
 
 
 def fit_times(trials: pd.DataFrame) -> TimeFit:
-    """Fit the durations, each attempt weighted for those that were cut.
+    """Fit the durations, with censoring weights for cut attempts.
 
     Parameters
     ----------
     trials
-        As `halfseen.cell.calibration.attempts.trials` gives them; attempts that found nothing to try count for the rest
-        alone.
+        Attempts from `halfseen.cell.calibration.attempts.trials`; those without a grasp to try count only for `rest_s`.
     """
     decided = checked_attempts(trials)
     rows = pd.DataFrame(trials[trials["is_finished"].to_numpy(dtype=bool)])
@@ -263,11 +261,11 @@ def _groups(held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 VIEWS = (0.25 * FACING_SHARE, 0.5 * FACING_SHARE, 0.75 * FACING_SHARE, FACING_SHARE, 1.0)
-"""Shares of the surface at which curves are fitted: quarters of what a look on the table shows, and all."""
+"""Knots of the curves, as shares of the surface: quarters of what a look at the table shows, and all."""
 _NUM_STEPS, _SMALLEST_CHANGE = 2000, 1e-10
 
 Interval = tuple[float, float]
-"""The label turned DIRTY after the first share had been seen, and by the second; infinite where it never did."""
+"""Shares seen before and with the first DIRTY label; the second is infinite if there was none."""
 
 
 def fit_seeing(glances: pd.DataFrame) -> PersistentSeeing:
@@ -276,7 +274,7 @@ def fit_seeing(glances: pd.DataFrame) -> PersistentSeeing:
     Parameters
     ----------
     glances
-        One row an object, as `attempts.glances` gives them.
+        One row per object, from `attempts.glances`.
 
     Raises
     ------
@@ -296,12 +294,12 @@ def fit_seeing(glances: pd.DataFrame) -> PersistentSeeing:
 
 
 def intervals(rows: pd.DataFrame) -> list[Interval]:
-    """The interval of each object that holds the share at which its label turned DIRTY.
+    """Interval of each object that contains the share V at which its label becomes DIRTY.
 
     Parameters
     ----------
     rows
-        With `attempts.GLANCES`.
+        Objects with `attempts.GLANCES`.
     """
     columns = (rows[name] for name in ("glance_occlusions", "glance_held", "glance_dirty"))
     return [_interval(zip(*each, strict=True)) for each in zip(*columns, strict=True)]
@@ -311,7 +309,7 @@ def _interval(labels: Iterable[tuple[float, bool, bool]]) -> Interval:
     seen = 0.0
     for occlusion, is_held, says_dirty in labels:
         shown = 1.0 if is_held else FACING_SHARE * (1.0 - occlusion)
-        # What shows no more than was seen before is no news: it repeats itself, or errs by noise.
+        # A look that shows no more than before is not new evidence: its label repeats, or differs by noise.
         if shown <= seen + SAME_VIEW:
             continue
         if says_dirty:
@@ -321,10 +319,10 @@ def _interval(labels: Iterable[tuple[float, bool, bool]]) -> Interval:
 
 
 def found_by(intervals: list[Interval]) -> Float[np.ndarray, " knots"]:
-    """P(V ≤ v) at each of `VIEWS`, by maximum likelihood."""
+    """Maximum-likelihood estimate of P(V ≤ v) at each of `VIEWS`."""
     knots = np.array([0.0, *VIEWS])
     low, high = np.array(intervals, dtype=np.float64).reshape(-1, 2).T
-    # How much of each piece an interval holds; the last column is "never".
+    # Share of each segment within an interval; the last column is "never".
     begins, ends = np.maximum(knots[:-1], low[:, None]), np.minimum(knots[1:], high[:, None])
     inside = np.clip(ends - begins, 0.0, None) / np.diff(knots)
     share = np.column_stack([inside, np.isinf(high)])

@@ -1,15 +1,15 @@
-"""The laws of a cell, estimated from what it tried, a world under them, and on disk: loading one runs no code.
+"""The laws of a cell, estimated from its attempts, a world under them, and their folder; loading one runs no code.
 
 ::
 
     FOLDER/
-      law.json          what was tried, how often, under which conditions; names and units of the numbers
+      law.json          counts of attempts and their conditions; names and units of the numbers
       law.safetensors   the numbers
       law.sha256        digests of both
-      attempts/         the log that they were estimated from, if it is kept; and with it
-      held.svg, .png    how often attempts held, and what the law says of them
-      labels.svg, .png  what labels say by how much was in view
-      attempts-visible-only/  attempts of grasps that were planned from visible points alone, if there are some
+      attempts/         the log of the fit, if it is kept; and with it
+      held.svg, .png    share of attempts that held, and the law's predictions
+      labels.svg, .png  labels by the share in view
+      attempts-visible-only/  attempts with grasps planned from visible points alone, if there are any
 """
 
 import json
@@ -55,21 +55,21 @@ _CURVES = ("sensitivity", "false_alarms")
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """The laws of grasping and seeing, from attempts and looks of a cell.
+    """The laws of grasping and seeing, fitted to attempts and looks of a cell.
 
     Parameters
     ----------
     grasp
-        P(held) given what is seen.
+        Model of P(held) given an object's appearance.
     time
-        How long attempts take.
+        Model of the durations of attempts.
     seeing
-        What looks tell.
+        Model of the labels from looks.
     limit_s
-        Longest time of an attempt in that cell [s].
+        Longest duration of an attempt in that cell [s].
     grips
-        Log-odds by which objects on its tables were easier to hold than a standing cup of usual width with usual room,
-        as they looked at first: quantiles, rising.
+        Quantiles, in increasing order, of the grips of the objects in first looks: log-odds of holding, relative to a
+        standing cup of typical width with typical room.
     """
 
     grasp: GraspFit
@@ -80,7 +80,7 @@ class Law:
 
     @property
     def coefficients(self) -> dict[str, float]:
-        """Of P(held), by name."""
+        """Coefficients of P(held), by name."""
         return dict(zip(NAMES, self.grasp.estimate.tolist(), strict=True))
 
     @property
@@ -98,26 +98,26 @@ class Law:
         )
 
     def config(self, base: WorldConfig | None = None) -> WorldConfig:
-        """Give a world under this law.
+        """Configuration of a world under this law.
 
         Parameters
         ----------
         base
-            Its rewards, prior and horizon; by default those of the default world.
+            Rewards, prior and horizon of the world; None for those of the default world.
         """
         world = WorldConfig() if base is None else base
         return replace(world, grasping=self.grasping, seeing=self.seeing, transport_s=self.time.rest_s)
 
     def grip(self, facts: Facts) -> float:
-        """Log-odds by which an object is easier to hold than a standing cup of usual width with usual room."""
+        """Log-odds of holding an object, relative to a standing cup of typical width with typical room."""
         return float(_grips(self.grasp, pd.DataFrame([asdict(facts)]))[0])
 
     def scene(self, view: View) -> Scene:
-        """Give what a world needs to know of a table, grips included."""
+        """Scene of a table for a world, with grips."""
         return self.gripped(view.scene(), facts_of(view))
 
     def gripped(self, scene: Scene, facts: Sequence[Facts]) -> Scene:
-        """Add the grips of its objects to a scene, from what is seen of each."""
+        """Add the grips of the objects to a scene, from their facts."""
         return replace(scene, grip=np.array([self.grip(each) for each in facts]))
 
 
@@ -127,9 +127,9 @@ def fit_law(logs: Logs, horizon: int, limit_s: float) -> Law:
     Parameters
     ----------
     logs
-        What a cell tried, with the truth about what is dirty.
+        Attempts of a cell, with the true state of each object.
     limit_s
-        Longest time of an attempt [s].
+        Longest duration of an attempt [s].
     """
     tried: pd.DataFrame = trials(logs, horizon)
     assert logs.objects is not None, "trials are read from logs with objects"
@@ -155,14 +155,14 @@ def _grips(grasp: GraspFit, facts: pd.DataFrame) -> Rows:
 
 
 def _rounded(values: np.ndarray | Sequence[float]) -> np.ndarray:
-    """Digits far below the errors are dropped: machines differ in the last ones, and a law is the same on all."""
+    """Round far below the standard errors, so that a law is identical on all machines."""
     return np.round(np.asarray(values, dtype=np.float64), _DIGITS)
 
 
 def shipped_law() -> Path:
-    """Find its folder, to be read with `read_law`.
+    """Folder of the shipped law, for `read_law`.
 
-    It was made by ``halfseen cell calibrate --attempts 6000``; ``--from`` of its attempts makes it again.
+    It was made by ``halfseen cell calibrate --attempts 6000``; ``--from`` with its attempts reproduces it.
     """
     return Path(str(files("halfseen.cell.calibration"))) / "shipped_law"
 
@@ -175,7 +175,7 @@ _AGAIN = f"make it again by `{LAW.maker}`"
 
 @dataclass(frozen=True, eq=False)
 class StoredLaw:
-    """A law that was read from a folder, and what its law.json says."""
+    """A law read from a folder, and the content of its law.json."""
 
     law: Law
     record: Mapping[str, Any]
@@ -190,16 +190,16 @@ def write_law(
     contrast: Logs | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Write a law, all or nothing.
+    """Write a law atomically.
 
     Parameters
     ----------
     more
-        What else is to be kept: conditions, versions, how it was made.
+        Further entries of the record: conditions, versions, how the law was made.
     logs
-        What it was estimated from; None if that is neither to be kept nor drawn.
+        Log of the fit, to keep and to draw; None for neither.
     contrast
-        Attempts of grasps that were planned from visible points alone, to be kept beside; None where there are none.
+        Attempts with grasps planned from visible points alone, to keep with the law; None if there are none.
 
     Raises
     ------
@@ -231,12 +231,12 @@ def write_law(
 
 
 def read_law(folder: str | Path) -> StoredLaw:
-    """Read a law, and check all of it; no code of the folder is run.
+    """Read and check a law; no code from the folder is run.
 
     Raises
     ------
     PolicyError
-        A file is missing, a byte has changed, the version is unknown, or the numbers are none of a law.
+        A file is missing, a byte has changed, the version is unknown, or the numbers do not make a law.
     """
     text, numbers = read_files(Path(folder), LAW)
     record = _record(text, Path(folder) / LAW.record)
