@@ -96,7 +96,7 @@ def shaded_within(boxes_m: Boxes, camera: Camera, baseline_m: float, depth_m: Im
     is_point = np.isfinite(depth_m)
     column = np.rint(np.where(is_point, column, 0.0)).astype(int)
     inside = mask[np.arange(camera.num_rows)[:, None], np.clip(column, 0, camera.num_columns - 1)]
-    # Points outside the projector's picture count as shaded.
+    # Points outside the projector's picture count as possibly shaded.
     return is_point & (inside | (column < 0))
 
 

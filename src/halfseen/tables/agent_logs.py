@@ -214,12 +214,12 @@ def _with_own_history(log: TableLog, robot: int) -> pd.DataFrame:
 def _lists(
     values: np.ndarray, row: Int[np.ndarray, " k"], is_kept: Bool[np.ndarray, " k"], num_rows: int
 ) -> list[np.ndarray]:
-    """A list a row."""
+    """One list for each row."""
     return np.split(values[is_kept], np.cumsum(np.bincount(row[is_kept], minlength=num_rows))[:-1])
 
 
 def _through_arrow(objects: pd.DataFrame) -> pa.Table:
-    """Lists of a type of their own, also where each of them is empty."""
+    """The table with typed list columns, even if all lists are empty."""
     types = {"hidden_by": pa.float64(), "attempt_occlusions": pa.float64(), "attempt_succeeded": pa.bool_()}
     table = pa.Table.from_pandas(objects.drop(columns=list(types)), preserve_index=False)
     for name in filter(types.__contains__, objects.columns):

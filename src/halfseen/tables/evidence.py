@@ -281,7 +281,7 @@ class Prior(NamedTuple):
 
     mode: Float[np.ndarray, "*S"]
     spread: Float[np.ndarray, "*S"] | float
-    """Standard deviations."""
+    """Standard deviations of the densities."""
 
     def loss(self, theta: Any, log_likelihood: float, slope: Any) -> tuple[float, Any]:
         """Negative log-posterior up to a constant, and its gradient; `slope` is the gradient of the log-likelihood."""

@@ -102,7 +102,7 @@ def fitted_excess(config: WorldConfig, layouts: Layout, seed: int, num_trajector
 
 
 def _fit_step(found: Excess, to_go: int, tried: Tried) -> None:
-    """Fit E with h steps to go to that with h − 1, in place."""
+    """Fit E with h steps to go, given E with h − 1, in place."""
     coefficients, low, high = (each[to_go - 2] for each in (found.coefficients, found.low, found.high))
     target = tried.beyond.astype(np.float64)
     for verb in range(2):

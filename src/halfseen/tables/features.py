@@ -44,7 +44,7 @@ WASHes under way                       their number, and the features of their t
 LIFTs under way                        the same
 what the team can clear                the sums of one robot's table over objects in reach of a robot that continues,
                                        and idle; after FINISH, without the deciding robot
-who reaches it                         win·ease and soon, summed over objects that this robot alone reaches, and over
+reach                                  win·ease and soon, summed over objects that this robot alone reaches, and over
                                        those that only others reach
 activity of the others                 how many are at work, for how long in all [s], and how many continue
 of WASH, and of LIFT                   win·ease and soon of the target, where another robot that continues reaches it

@@ -65,7 +65,7 @@ FOUND = np.array([0.5, 0.1])
 
 @dataclass(frozen=True, eq=False)
 class _Family:
-    """Laws of the labels of objects, of which the share π (`dirty_share`) is dirty."""
+    """Laws of labels; a share π (`dirty_share`) of the objects is dirty."""
 
     labels: Labels
     dirty_share: float

@@ -63,7 +63,7 @@ class WeightedLog(NamedTuple):
     weight: Float[np.ndarray, "n T"]
     """δ / Ĝ(U⁻) with the Kaplan–Meier Ĝ."""
     is_last: Bool[np.ndarray, "n T"]
-    """Completed stages after which the trajectory had come to its own end."""
+    """Completed stages after which the trajectory ended by itself."""
 
 
 def weighted_log(logs: Logs, states: TableState, *, is_team: bool = False) -> WeightedLog | str:
@@ -239,7 +239,7 @@ class Predicted(NamedTuple):
 
     trajectory: Int[np.ndarray, " R"]
     residual: Float[np.ndarray, " R"]
-    """Weighted."""
+    """Weighted residual."""
     described: Float[np.ndarray, "R k"]
     """Information before the outcome; 1 first."""
 

@@ -18,8 +18,8 @@ E of a team uses the values of the myopic look, and the team's table after each 
 =====================  ==============================================================================================
 1                      by verb, including WAIT
 short, near            by verb: shortfall of the action from the best in the myopic look, and (short + 1)₊
-what follows           the numbers of `features.team_features`: what is under way, what the team can still
-                       clear, who reaches it, and for how long all will be busy
+table afterwards       the features of `features.team_features`: attempts under way, objects that the team can
+                       still clear, their reach, and how long all robots will be busy
 =====================  ==============================================================================================
 
 For one robot, features of what labels may still reveal are sufficient. For several the schedule matters as much, and

@@ -289,11 +289,11 @@ class IndependentPolicies:
 
     @property
     def num_robots(self) -> int:
-        """K."""
+        """K, the robots of the team."""
         return len(self.policies)
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Let the policy of the robot that decides choose."""
+        """Choose by the policy of the deciding robot."""
         table, xp = own_table(state), library_of(state.log_odds)
         found, *rest = [policy.decide(table, key) for policy in self.policies]
         for robot, other in enumerate(rest, start=1):

@@ -40,7 +40,7 @@ PARTS = (4, 12)
 MOST_STEPS = 100
 """Most steps of a search; a law that made the changes is found in far fewer."""
 RECORDER_SPREAD = 0.1
-"""Standard deviation of the prior about the recorder's law, in logits."""
+"""Standard deviation of the prior centred at the recorder's law, in logits."""
 
 
 def read_back(
