@@ -1,10 +1,10 @@
-"""The physical table: cups that stand or lie, and the depth camera that half sees them.
+"""The physical table: cups that stand or lie, partly visible to a depth camera.
 
-Data go this way: `cups` (shapes, and what is on their walls) → `draw` (where they start, physics, which tables are
-kept) → `view` (the room, and what an ideal camera sees) → `xtion` (what the sensor makes of it) → `record` (colours,
-cloud and truth) → `shipped` (the ten tables that come with the package).
+Data flow: `cups` (shapes, stains and spots) → `draw` (initial poses, physics, acceptance of tables) → `view` (the room,
+and the view of an ideal camera) → `xtion` (the sensor's depth image) → `record` (colours, cloud and truth) → `shipped`
+(the ten tables that come with the package).
 
-MuJoCo loads when a table is drawn or seen, never when this package is imported.
+MuJoCo is imported when a table is drawn or viewed, not when this package is imported.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Make the ten tables that come with the package again: ``python -m halfseen.scene [--out DIR]``."""
+"""Regenerate the ten tables that come with the package: ``python -m halfseen.scene [--out DIR]``."""
 
 import sys
 from pathlib import Path

@@ -1,8 +1,8 @@
-"""Cups: open vessels with a bottom and a hollow, some with a handle; and what is on their walls.
+"""Cups: open hollow vessels, some with a handle; and the stains and spots on their walls.
 
 A cup's own frame has its origin in the middle of the underside and z towards the mouth; a handle points along x.
-Dirty cups have stains of what was drunk from them, any cup may have glaze spots, and both look alike. All numbers of
-stains are ours.
+Dirty cups have stains from drinks. Any cup may have glaze spots, which look alike. All numbers of stains are our own
+choice.
 """
 
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ import numpy as np
 from halfseen.errors import SceneError
 from halfseen.shapes import Float, Int
 
-# Facets around a cup: few enough to be quick, and so many that rays graze it where they would graze a round wall.
+# Facets around a cup: few enough to be fast, enough for rays to graze it where they would graze a round wall.
 NUM_AROUND = 96
 _NUM_ALONG_HANDLE = 12
 _NUM_AROUND_HANDLE = 8
@@ -39,12 +39,12 @@ class Cup:
     bottom_m
         Thickness of the bottom [m].
     handle_m
-        How far a handle reaches out from the wall [m]; 0 for a cup that has none.
+        Reach of the handle from the wall [m]; 0 for a cup without one.
 
     Raises
     ------
     SceneError
-        A dimension is not positive, or the wall leaves no hollow.
+        A dimension is not positive, or the wall or the bottom leaves no hollow.
     """
 
     height_m: float
@@ -71,7 +71,7 @@ class Cup:
 def body_mesh(cup: Cup) -> tuple[Vertices, Faces]:
     """Build the closed surface of the vessel: outside, rim, inside and bottom.
 
-    Vertices are in the cup's frame [m], and triangles look outward.
+    Vertices are in the cup's frame [m], and triangles face outward.
     """
     profile_m = [
         (cup.base_radius_m, 0.0),
@@ -88,7 +88,7 @@ def body_mesh(cup: Cup) -> tuple[Vertices, Faces]:
 
 
 def handle_bow(cup: Cup, num_points: int) -> tuple[Vertices, float]:
-    """Middle of the bent bar of a handle, from its lower end in the wall to its upper one, and its radius [m]."""
+    """Centre line of the bent bar of a handle, from its lower end in the wall to its upper one, and its radius [m]."""
     radius_m = 0.16 * cup.handle_m
     bend = np.linspace(-np.pi / 2, np.pi / 2, num_points)
     z_m = 0.52 * cup.height_m + 0.28 * cup.height_m * np.sin(bend)
@@ -100,7 +100,7 @@ def handle_bow(cup: Cup, num_points: int) -> tuple[Vertices, float]:
 def handle_mesh(cup: Cup) -> tuple[Vertices, Faces]:
     """Build the closed surface of the handle, a bent round bar whose ends sit in the wall.
 
-    Vertices are in the cup's frame [m], and triangles look outward; ``handle_m > 0``.
+    Vertices are in the cup's frame [m], and triangles face outward; ``handle_m > 0``.
     """
     if cup.handle_m <= 0:
         raise SceneError(f"cup: handle_m is {cup.handle_m}, so there is no handle to build; ask for a cup that has one")
@@ -144,20 +144,20 @@ Colour: TypeAlias = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Stain:
-    """A disc of another colour on one side of a cup's wall: what lies on that side within its radius.
+    """A disc of another colour on one side of a cup's wall.
 
     Parameters
     ----------
     angle_rad
-        Where its middle is, about the cup's axis; a handle is at 0 [rad].
+        Angle of its centre about the cup's axis; a handle is at 0 [rad].
     height_m
-        Where its middle is, above the underside [m].
+        Height of its centre above the underside [m].
     radius_m
-        From its middle to its edge [m].
+        Radius [m].
     is_inside
         True on the inner side of the wall.
     colour
-        In full light.
+        Colour in full light.
     """
 
     angle_rad: float
@@ -169,18 +169,18 @@ class Stain:
 
 @dataclass(frozen=True)
 class Surface:
-    """A cup and what is on its walls.
+    """A cup with its glaze, stains and spots.
 
     Parameters
     ----------
     cup
         Its dimensions.
     glaze
-        Its own colour in full light.
+        Colour of the cup in full light.
     stains
-        What makes it dirty; none on a clean cup.
+        Stains; a cup is dirty if it has any.
     spots
-        Spots of the glaze, which look like stains and are none.
+        Spots of the glaze, which look like stains.
     """
 
     cup: Cup
@@ -190,24 +190,24 @@ class Surface:
 
     @property
     def is_dirty(self) -> bool:
-        """Whether there is a stain, in view or not."""
+        """Whether there is a stain, visible or not."""
         return bool(self.stains)
 
 
 @dataclass(frozen=True)
 class SurfaceLaw:
-    """How stains and glazes are drawn.
+    """Distribution of stains, spots and glazes.
 
     Parameters
     ----------
     num_stains, num_spots
-        Fewest and most stains of a dirty cup, and spots of any.
+        Fewest and most stains of a dirty cup, and spots of any cup.
     stain_radius_m, spot_radius_m
         Smallest and largest radius [m].
     height_share
-        Lowest and highest middle of a disc, as shares of the cup's height.
+        Lowest and highest centre of a disc, as shares of the cup's height.
     inside_share
-        How many of the discs are on the inner side.
+        Share of the discs on the inner side.
     glazes
         Glazes to draw from.
     stain_colours, spot_colours
@@ -247,7 +247,7 @@ def draw_surface(cup: Cup, is_dirty: bool, rng: np.random.Generator, law: Surfac
     rng
         Source of randomness.
     law
-        How they are drawn.
+        Their distribution.
     """
     glaze = law.glazes[rng.integers(len(law.glazes))]
     num_stains = int(rng.integers(law.num_stains[0], law.num_stains[1] + 1)) if is_dirty else 0

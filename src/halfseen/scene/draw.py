@@ -1,6 +1,6 @@
-"""Draw a table: cups start in a clutter, drop, and are kept if they lie well and each can be seen a little.
+"""Draw a table: cups start in a clutter and drop; the table is accepted if all rest properly and are partly visible.
 
-In the clutter some stand behind others as the camera sees it, and none inside another.
+In the clutter some cups stand behind others as seen by the camera; none is inside another.
 """
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
@@ -19,11 +19,11 @@ from halfseen.scene.view import TIMESTEP_S, cup_name, is_whole_in_picture, lone_
 from halfseen.scene.xtion import XTION, loss_probability, xtion_at
 from halfseen.shapes import Float
 
-GAP_M = 0.01  # cups nearer than this might be one thing to the eye
-_FREE_AREA_M = ((-0.27, 0.27), (-0.20, 0.20))  # where cups stand, from the table's middle
+GAP_M = 0.01  # closer cups might look like one object
+_FREE_AREA_M = ((-0.27, 0.27), (-0.20, 0.20))  # area of the cups, from the table's middle
 _DROP_M = 0.004
 _FALLEN_SHARE = 0.3
-_BEHIND_SHARE = 0.85  # of the cups are put behind or before another, along the line of sight
+_BEHIND_SHARE = 0.85  # share of the cups put behind or in front of another, along the line of sight
 _NUM_TRIES = 60
 
 Disc = tuple[float, float, float]  # centre x, y and radius [m]
@@ -41,9 +41,9 @@ def draw_cup(rng: np.random.Generator) -> Cup:
 
 
 def draw_layout(cups: Sequence[Cup], rng: np.random.Generator) -> tuple[Pose, ...] | None:
-    """Draw where the cups are let go, a few millimetres above the table, some standing and some lying.
+    """Draw the poses from which the cups drop, a few millimetres above the table, some standing and some lying.
 
-    None if the cups did not fit.
+    None if the cups do not fit.
     """
     poses: list[Pose] = []
     taken: list[Disc] = []
@@ -63,7 +63,7 @@ def draw_layout(cups: Sequence[Cup], rng: np.random.Generator) -> tuple[Pose, ..
 
 
 def _draw_turn(rng: np.random.Generator) -> tuple[float, float, float, float]:
-    """Standing or lying, turned anyhow about the vertical; one that lies has rolled anyhow about its axis."""
+    """Draw an orientation: standing or lying, with a uniform turn about the vertical and, if lying, about its axis."""
     about_vertical = about_axis((0.0, 0.0, 1.0), rng.uniform(0, 2 * np.pi))
     rolled = about_axis((0.0, 0.0, 1.0), rng.uniform(0, 2 * np.pi))
     if rng.random() >= _FALLEN_SHARE:
@@ -72,7 +72,7 @@ def _draw_turn(rng: np.random.Generator) -> tuple[float, float, float, float]:
 
 
 def _draw_place(poses: Sequence[Pose], rng: np.random.Generator) -> tuple[float, float]:
-    """Anywhere, or behind or before a cup that is already there."""
+    """Draw a place: anywhere, or behind or in front of a placed cup."""
     (left_m, right_m), (near_m, far_m) = _FREE_AREA_M
     if not poses or rng.random() >= _BEHIND_SHARE:
         return rng.uniform(left_m, right_m), rng.uniform(near_m, far_m)
@@ -82,7 +82,7 @@ def _draw_place(poses: Sequence[Pose], rng: np.random.Generator) -> tuple[float,
 
 
 def _just_above_table(cup: Cup, place_m: tuple[float, float], quaternion: tuple[float, float, float, float]) -> Pose:
-    """Find the pose whose lowest point is a few millimetres above the table, and whose axis is centred over a place."""
+    """Pose with its lowest point a few millimetres above the table and its axis centred over a place."""
     turned = Pose((0.0, 0.0, 0.0), quaternion)
     lowest_m = float(turned.apply(outline(cup))[:, 2].min())
     middle_m = turned.apply(np.array([[0.0, 0.0, cup.height_m / 2]]))[0]
@@ -92,7 +92,7 @@ def _just_above_table(cup: Cup, place_m: tuple[float, float], quaternion: tuple[
 
 
 def _footprint(cup: Cup, pose: Pose) -> list[Disc]:
-    """List discs that cover the cup as seen from above."""
+    """Discs that cover the cup as seen from above."""
     spots: Float[np.ndarray, "n 3"] = np.array([[0.0, 0.0, share * cup.height_m] for share in (0.1, 0.5, 0.9)])
     radii_m = [cup.radius_at(float(z_m)) for z_m in spots[:, 2]]
     if cup.handle_m > 0:
@@ -108,12 +108,12 @@ def _is_inside(discs: Sequence[Disc]) -> bool:
 
 
 REST_SPEED = 2e-3  # largest speed of a cup at rest [m/s, rad/s]
-_QUIET_S = 0.2  # how long a cup must have been that slow: a cup that turns back while rocking is slow for an instant
+_QUIET_S = 0.2  # time for which a cup must stay that slow: a rocking cup is slow for an instant as it turns back
 _PATIENCE_S = 4.0
 
 
 def settle(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> tuple[Pose, ...] | None:
-    """Let the cups fall and find where they come to rest; None if some cup still moves after 4 s."""
+    """Let the cups fall, and return their poses at rest; None if a cup still moves after 4 s."""
     model = room_model(cups, world_from_cup, is_free=True)
     data = mujoco.MjData(model)
     num_quiet = 0
@@ -127,9 +127,9 @@ def settle(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> tuple[Pose, .
 
 
 def smallest_gap_m(cups: Sequence[Cup], world_from_cup: Sequence[Pose], beyond_m: float = 0.1) -> float:
-    """Smallest distance between the convex hulls of any two cups, or `beyond_m` if it is larger [m].
+    """Smallest distance between the convex hulls of any two cups, at most `beyond_m` [m].
 
-    It is negative where cups are inside one another.
+    It is negative if cups overlap.
     """
     if beyond_m <= 0:
         raise SceneError(f"smallest gap: beyond_m is {beyond_m}; give a positive length")
@@ -150,16 +150,16 @@ NUM_CUPS = (5, 10)
 MAX_OCCLUSION = 0.85
 MIN_RETURNS_PX = 150
 _NUM_PROPOSALS = 500
-_RANGE_MARGIN_M = 0.1  # over three times the noise at the far end, where it is 3 cm
+_RANGE_MARGIN_M = 0.1  # over three times the noise at the far end, 3 cm
 _EDGE_M = 0.04  # a cup's middle stays this far inside the table's edge
 
 
 def random_table(seed: int) -> Table:
     """Draw a table with 5 to 10 cups at rest, some of them fallen.
 
-    Proposals are drawn until one is kept: every cup rests on the table, stands or lies (none leans), is 1 cm or more
-    from every other, lies whole in the picture, is at most 85 % hidden, and shows at least 150 pixels that are sure to
-    return whatever the sensor's noise (lit by the projector, in range, not grazing).
+    Proposals are drawn until one is accepted: every cup rests on the table, stands or lies (none leans), is 1 cm or
+    more from every other, is entirely in the picture and at most 85 % hidden, and shows at least 150 pixels that return
+    whatever the sensor's noise (lit by the projector, in range, not grazing).
 
     Parameters
     ----------
@@ -174,10 +174,10 @@ def random_table(seed: int) -> Table:
     Raises
     ------
     SceneError
-        None of 500 proposals was kept.
+        None of 500 proposals was accepted.
     """
     rng = np.random.default_rng(seed)
-    # The number is drawn once, so that rejection does not favour tables with few cups.
+    # The number is drawn once: rejection must not favour tables with few cups.
     num_cups = _num_cups(rng)
     for _ in range(_NUM_PROPOSALS):
         table = _propose(num_cups, f"table of seed {seed}", rng)
@@ -187,7 +187,7 @@ def random_table(seed: int) -> Table:
 
 
 def num_cups_of(seed: int) -> int:
-    """How many cups `random_table(seed)` has, without drawing it."""
+    """Number of cups of `random_table(seed)`, without drawing the table."""
     return _num_cups(np.random.default_rng(seed))
 
 
@@ -206,7 +206,7 @@ def _propose(num_cups: int, name: str, rng: np.random.Generator) -> Table | None
 
 
 def _draw_camera_pose(rng: np.random.Generator) -> Pose:
-    """Put a robot's head before the table: about 0.95 m from its middle, 25° to 32° below the horizontal."""
+    """Draw a camera pose in front of the table: about 0.95 m from its middle, looking 25° to 32° downwards."""
     target_m = np.array([rng.uniform(-0.02, 0.02), rng.uniform(-0.02, 0.02), TABLE_TOP_M + 0.03])
     distance_m, down_rad, aside_rad = rng.uniform(0.92, 1.0), np.deg2rad(rng.uniform(25, 32)), rng.normal(0, 0.05)
     back = np.array([np.sin(aside_rad) * np.cos(down_rad), -np.cos(aside_rad) * np.cos(down_rad), np.sin(down_rad)])
@@ -214,7 +214,7 @@ def _draw_camera_pose(rng: np.random.Generator) -> Pose:
 
 
 def _is_kept(table: Table) -> bool:
-    """Whether a proposal is a good table; the cheap questions come first."""
+    """Whether a proposal is accepted; the cheap checks come first."""
     if not (_is_on_table(table.cups, table.world_from_cup) and is_whole_in_picture(table)):
         return False
     if smallest_gap_m(table.cups, table.world_from_cup) < GAP_M:
@@ -224,7 +224,7 @@ def _is_kept(table: Table) -> bool:
 
 
 def _is_on_table(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> bool:
-    """Whether every cup stands, or lies on the table top: not beside it, not on another, not leaning."""
+    """Whether every cup stands or lies on the table top: not beside it, not on another cup, not leaning."""
     for cup, pose in zip(cups, world_from_cup, strict=True):
         x_m, y_m, z_m = pose.apply(np.array([[0.0, 0.0, cup.height_m / 2]]))[0]
         if abs(x_m) > TABLE_SIZE_M[0] / 2 - _EDGE_M or abs(y_m) > TABLE_SIZE_M[1] / 2 - _EDGE_M:
@@ -238,7 +238,7 @@ def _is_on_table(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> bool:
 
 
 def sure_returns_px(table: Table, truth: Truth) -> np.ndarray:
-    """Pixels of each cup that return whatever the noise: seen, lit by the projector, and not grazing [px]."""
+    """Pixels of each cup that return whatever the noise: visible, lit by the projector, and not grazing [px]."""
     view = table_view(table, XTION.baseline_m)
     is_sure = view.is_lit & (loss_probability(view.incidence_cosine) == 0)
     near_m, far_m = XTION.range_m

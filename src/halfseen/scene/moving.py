@@ -1,4 +1,4 @@
-"""Views of what moves, laid over a view of what does not: by rays within windows, or facet by facet."""
+"""Overlay of moving geoms on a view of static ones: by rays within windows, or facet by facet."""
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
@@ -27,7 +27,7 @@ class Facets:
     corners_m
         Counterclockwise as seen from outside [m].
     geom, body
-        To which each belongs.
+        Geom and body of each facet.
     """
 
     corners_m: Float[np.ndarray, "facets 3 3"]
@@ -35,14 +35,14 @@ class Facets:
     body: Int[np.ndarray, " facets"]
 
     def seen_from(self, data: mujoco.MjData, world_from_camera: Pose) -> Float[np.ndarray, "facets 3 3"]:
-        """Corners where the bodies are now, in a camera's frame [m]."""
+        """Corners at the current poses of the bodies, in a camera's frame [m]."""
         turns = data.geom_xmat.reshape(-1, 3, 3)[self.geom]
         world_m = np.einsum("fij,fcj->fci", turns, self.corners_m) + data.geom_xpos[self.geom, None]
         return world_from_camera.apply_inverse(world_m.reshape(-1, 3)).reshape(world_m.shape)
 
 
 def mesh_facets(model: mujoco.MjModel, groups: Sequence[int]) -> Facets:
-    """List the facets of all meshes of some groups of geoms; those that are no meshes are passed over."""
+    """List the facets of all mesh geoms of some groups; other geoms are skipped."""
     geoms = np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_MESH) & np.isin(model.geom_group, groups))
     corners_m = [_corners_m(model, int(model.geom_dataid[geom])) for geom in geoms]
     geom = np.repeat(geoms, [len(each) for each in corners_m])
@@ -56,7 +56,7 @@ def _corners_m(model: mujoco.MjModel, mesh: int) -> Float[np.ndarray, "facets 3 
 
 
 def normals(corners_m: Float[np.ndarray, "facets 3 3"]) -> Float[np.ndarray, "facets 3"]:
-    """Unit normals of facets, outward; corners are counterclockwise as seen from outside [m]."""
+    """Outward unit normals of facets; corners are counterclockwise as seen from outside [m]."""
     first, second, third = np.moveaxis(corners_m, 1, 0)
     across = np.cross(second - first, third - first)
     return across / np.linalg.norm(across, axis=1, keepdims=True)
@@ -70,7 +70,7 @@ _ROUNDING_PX = 2
 
 
 def shown_within(boxes_m: Boxes, camera: Camera) -> Mask:
-    """Pixels in which what is in some box may show; all, if one is not wholly in front of the camera.
+    """Pixels that may show the content of a box; all pixels, if a box is not entirely in front of the camera.
 
     Boxes are in the camera's frame [m].
     """
@@ -87,39 +87,39 @@ def shown_within(boxes_m: Boxes, camera: Camera) -> Mask:
 
 
 def shaded_within(boxes_m: Boxes, camera: Camera, baseline_m: float, depth_m: Image) -> Mask:
-    """Pixels whose points what is in some box may keep the projector from.
+    """Pixels that the content of a box may shade from the projector.
 
-    Boxes are in the camera's frame; the projector stands `baseline_m` to the camera's right [m].
+    Boxes are in the camera's frame; the projector is `baseline_m` to the camera's right [m].
     """
     mask = shown_within(boxes_m - [baseline_m, 0.0, 0.0], camera)
     column = projector_columns_px(camera, baseline_m, depth_m)
     is_point = np.isfinite(depth_m)
     column = np.rint(np.where(is_point, column, 0.0)).astype(int)
     inside = mask[np.arange(camera.num_rows)[:, None], np.clip(column, 0, camera.num_columns - 1)]
-    # Points beyond the projector's picture count as within.
+    # Points outside the projector's picture count as possibly shaded.
     return is_point & (inside | (column < 0))
 
 
 def projector_columns_px(camera: Camera, baseline_m: float, depth_m: Image) -> Image:
-    """Column at which a projector like the camera has the point of each pixel; its row is the pixel's own [px].
+    """Column of each pixel's point in a projector with the camera's intrinsics; the row is the pixel's own [px].
 
-    The projector stands `baseline_m` to the camera's right [m].
+    The projector is `baseline_m` to the camera's right [m].
     """
     return np.arange(camera.num_columns) - camera.focal_px[0] * baseline_m / depth_m
 
 
 @dataclass(frozen=True)
 class Sight:
-    """Who looks at what.
+    """A camera and a projector in a world.
 
     Parameters
     ----------
     model, data
-        The world, and where the bodies are.
+        The world, and the poses of the bodies.
     camera
         The camera.
     baseline_m
-        The projector stands this far to its right [m].
+        Distance of the projector to the camera's right [m].
     """
 
     model: mujoco.MjModel
@@ -138,9 +138,9 @@ class Sight:
 
 
 def with_rays(view: IdealView, sight: Sight, standing: tuple[int, ...], moving: tuple[int, ...]) -> IdealView:
-    """Lay over a view what moves in it, by rays.
+    """Overlay moving geoms on a view, by rays.
 
-    Standing and moving are groups of the geoms that are in the view, and of those to add.
+    `standing` are the groups of geoms in the view, `moving` the groups to add.
     """
     boxes, groups = sight.boxes_m(moving), standing + moving
     is_new = shown_within(boxes, sight.camera)
@@ -154,10 +154,10 @@ def with_rays(view: IdealView, sight: Sight, standing: tuple[int, ...], moving: 
 
 
 def with_facets(view: IdealView, sight: Sight, others: tuple[int, ...], facets: Facets, group: int) -> IdealView:
-    """Lay over a view the meshes of a group, facet by facet.
+    """Overlay the meshes of a group on a view, facet by facet.
 
-    The same as by rays, for a small part of the time: rays look for the facet that they meet, facets know their pixels.
-    Others are groups of the geoms that are in the view.
+    The result is that of `with_rays`, in a fraction of the time: a ray must search for its facet, a facet covers known
+    pixels. `others` are the groups of geoms in the view.
     """
     camera, seen, boxes = sight.camera, _copied(view), sight.boxes_m((group,))
     corners_m = facets.seen_from(sight.data, camera.world_from_camera)
@@ -181,7 +181,7 @@ def _copied(view: IdealView) -> IdealView:
 
 
 def _is_reached(sight: Sight, depth_m: Image, is_asked: Mask, groups: tuple[int, ...]) -> Bool[np.ndarray, " asked"]:
-    """Which of the pixels asked the projector reaches past some groups of geoms."""
+    """Whether the projector reaches each of the pixels asked, past some groups of geoms."""
     pose = sight.camera.world_from_camera
     points_m = pose.apply(sight.camera.pixel_rays()[is_asked] * depth_m[is_asked][:, None])
     projector_m = np.asarray(pose.position_m) + sight.baseline_m * pose.rotation[:, 0]
@@ -189,13 +189,13 @@ def _is_reached(sight: Sight, depth_m: Image, is_asked: Mask, groups: tuple[int,
 
 
 def _is_shaded(corners_m: Float[np.ndarray, "facets 3 3"], boxes: Boxes, sight: Sight, depth_m: Image) -> Mask:
-    """Pixels that facets keep the projector from."""
+    """Pixels that facets shade from the projector."""
     camera, shift_m = sight.camera, np.array([sight.baseline_m, 0.0, 0.0])
     is_shaded = shaded_within(boxes, camera, sight.baseline_m, depth_m)
     row, _ = here = np.nonzero(is_shaded)
     column = projector_columns_px(camera, sight.baseline_m, depth_m)[here]
     met = first_met(corners_m - shift_m, camera.intrinsics, RowRays(row, column))
-    # Distances from the projector are its depths times the length of a ray.
+    # Distance from the projector is depth times the length of the ray with z = 1.
     (fx, fy), (cx, cy) = camera.focal_px, camera.centre_px
     length = np.sqrt(((column - cx) / fx) ** 2 + ((row - cy) / fy) ** 2 + 1.0)
     is_shaded[here] = met.depth_m * length < depth_m[here] * length - LIT_TOLERANCE_M

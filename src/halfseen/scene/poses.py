@@ -1,4 +1,4 @@
-"""Rigid poses: where a thing is and how it is turned."""
+"""Rigid poses: position and orientation."""
 
 from dataclasses import dataclass
 
@@ -52,21 +52,21 @@ class Pose:
 
     @property
     def matrix(self) -> Float[np.ndarray, "4 4"]:
-        """The transform of homogeneous points."""
+        """Matrix of the transform for homogeneous points."""
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = self.rotation, self.position_m
         return matrix
 
     def apply(self, points_m: Points) -> Points:
-        """Carry points of the frame over: rotate, then shift [m]."""
+        """Transform points out of the frame: rotate, then shift [m]."""
         return points_m @ self.rotation.T + np.asarray(self.position_m)
 
     def apply_inverse(self, points_m: Points) -> Points:
-        """Carry points into the frame: shift back, then rotate back [m]."""
+        """Transform points into the frame: shift back, then rotate back [m]."""
         return (points_m - np.asarray(self.position_m)) @ self.rotation
 
     def rounded(self) -> "Pose":
-        """Round to a micrometre, and the quaternion to 1e-7, so that a file holds the pose exactly."""
+        """Round the position to a micrometre and the quaternion to 1e-7, so that a file stores the pose exactly."""
         x_m, y_m, z_m = (round(float(value), 6) for value in self.position_m)
         w, x, y, z = (round(float(value), 7) for value in self.quaternion)
         return Pose((x_m, y_m, z_m), (w, x, y, z))
@@ -80,7 +80,7 @@ def from_matrix(matrix: Float[np.ndarray, "4 4"]) -> Pose:
 
 
 def about_axis(axis: tuple[float, float, float], angle_rad: float) -> tuple[float, float, float, float]:
-    """Make the quaternion (w, x, y, z) that turns by an angle about a unit axis, right-handed [rad]."""
+    """Make the quaternion (w, x, y, z) of a right-handed rotation by an angle about a unit axis [rad]."""
     half_sine = float(np.sin(angle_rad / 2))
     return (float(np.cos(angle_rad / 2)), axis[0] * half_sine, axis[1] * half_sine, axis[2] * half_sine)
 
@@ -88,7 +88,7 @@ def about_axis(axis: tuple[float, float, float], angle_rad: float) -> tuple[floa
 def compose(
     first: tuple[float, float, float, float], then: tuple[float, float, float, float]
 ) -> tuple[float, float, float, float]:
-    """Make the quaternion (w, x, y, z) that turns first one way, then another, both about axes of the outer frame."""
+    """Make the quaternion (w, x, y, z) of two successive rotations, both about axes of the outer frame."""
     w1, x1, y1, z1 = then
     w2, x2, y2, z2 = first
     return (

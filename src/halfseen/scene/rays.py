@@ -1,7 +1,8 @@
-"""What rays from one point meet first: those of MuJoCo, and of facets by rays that lie in the rows of a picture.
+"""First hits of rays from one point: by MuJoCo, or on facets for rays in the rows of a picture.
 
-Rays from one point meet a facet where it covers the picture. A row crosses it in one span, between whose ends every ray
-meets it, at a depth whose inverse is linear in row and column. So a facet costs as much as the rows that it covers.
+Rays from one point hit a facet where its projection covers the picture. A row crosses the projection in one span, in
+which every ray hits the facet, at a depth whose inverse is linear in row and column. So the cost of a facet is
+proportional to the number of rows that it covers.
 """
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
@@ -18,23 +19,23 @@ from halfseen.shapes import Float, Int
 Directions = Float[np.ndarray, "rays 3"]
 
 CUP_GROUP, ROBOT_GROUP, FURNITURE_GROUP, UNSEEN_GROUP = 0, 2, 3, 4
-"""Groups of geoms: cups, which are meshes; robots and what never moves, where a model tells them apart; and what rays
+"""Groups of geoms: cups, which are meshes; robots and static geoms, where a model separates them; and geoms that rays
 pass through."""
 SEEN_GROUPS = tuple(group for group in range(mujoco.mjNGROUP) if group != UNSEEN_GROUP)
 
 
 @dataclass(frozen=True)
 class Hits:
-    """What each ray met first.
+    """First hit of each ray.
 
     Parameters
     ----------
     distance_m
-        Way along the ray [m]; NaN where it met nothing.
+        Distance along the ray [m]; NaN without a hit.
     body
-        Body that was met; −1 where none was.
+        Body that was hit; −1 without a hit.
     normal
-        Unit normal of the surface; NaN where nothing was met.
+        Unit normal of the surface; NaN without a hit.
     """
 
     distance_m: Float[np.ndarray, " rays"]
@@ -52,8 +53,8 @@ def cast(
 ) -> Hits:
     """Cast rays from one point into a model, which is not changed.
 
-    Bodies beyond `reach_m` are left out [m]. `data` tells where the bodies are, None for where they begin, and `groups`
-    which geoms rays meet.
+    Bodies beyond `reach_m` are ignored [m]. `data` holds the poses of the bodies, None for their initial poses;
+    `groups` are the geoms that rays can hit.
     """
     if data is None:
         data = mujoco.MjData(model)
@@ -81,9 +82,9 @@ class RowRays:
     Parameters
     ----------
     row
-        Whole number [px].
+        Integer row [px].
     column
-        Anywhere, also beside the picture [px].
+        Any column, also outside the picture [px].
     """
 
     row: Int[np.ndarray, " rays"]
@@ -92,14 +93,14 @@ class RowRays:
 
 @dataclass(frozen=True)
 class Met:
-    """What each ray met first.
+    """First facet hit by each ray.
 
     Parameters
     ----------
     depth_m
-        Along the camera's z axis [m]; infinite where nothing was met.
+        Depth along the camera's z axis [m]; infinite without a hit.
     facet
-        Which facet; −1 where none was.
+        Facet that was hit; −1 without a hit.
     """
 
     depth_m: Float[np.ndarray, " rays"]
@@ -108,9 +109,9 @@ class Met:
 
 @dataclass(frozen=True)
 class _Facing:
-    """Facets that show their outer side, in homogeneous pixels; rows and columns of numbers are (column, row, 1).
+    """Facets that face the camera, in homogeneous pixels (column, row, 1).
 
-    `edges` are the lines through their sides, not negative within; `inverse_depth` is 1/z [1/m]; they cover
+    `edges` are the lines through their sides, not negative inside; `inverse_depth` is 1/z [1/m]; a facet covers
     `num_rows` rows from `top` on.
     """
 
@@ -123,7 +124,7 @@ class _Facing:
 
 @dataclass(frozen=True)
 class _Spans:
-    """Where rows cross facets: from `left` to `right` [px]; `facing` counts through `_Facing`."""
+    """Spans of facets in rows, from `left` to `right` [px]; `facing` is an index into `_Facing`."""
 
     facing: Int[np.ndarray, " spans"]
     row: Int[np.ndarray, " spans"]
@@ -132,11 +133,11 @@ class _Spans:
 
 
 def first_met(corners_m: Corners, intrinsics: Intrinsics, rays: RowRays) -> Met:
-    """Find the first facet that each ray meets.
+    """Find the first facet that each ray hits.
 
     Corners are in the camera's frame, counterclockwise as seen from outside [m]. They may lie behind the camera. The
-    facets bound solids, none of which holds the camera: inner sides are not met. The intrinsics are those of the
-    picture whose rows and columns the rays name [px].
+    facets bound solids, none of which contains the camera: inner sides are not hit. The intrinsics are those of the
+    picture in which the rays' rows and columns are given [px].
     """
     num_rays = len(rays.row)
     inverse_depth, facet = np.zeros(num_rays), np.full(num_rays, -1)
@@ -153,7 +154,7 @@ def first_met(corners_m: Corners, intrinsics: Intrinsics, rays: RowRays) -> Met:
 
 
 def _facing(corners_m: Corners, intrinsics: Intrinsics, rays: RowRays) -> _Facing:
-    """Facets that show their outer side among the rays' rows and columns."""
+    """Facets that face the camera within the rays' rows and columns."""
     corners = corners_m @ intrinsics.T
     top, bottom, is_beside = _extent(corners, rays)
     edges = -np.cross(np.roll(corners, -1, axis=1), np.roll(corners, 1, axis=1))
@@ -166,9 +167,9 @@ def _facing(corners_m: Corners, intrinsics: Intrinsics, rays: RowRays) -> _Facin
 def _extent(
     corners: Corners, rays: RowRays
 ) -> tuple[Int[np.ndarray, " facets"], Int[np.ndarray, " facets"], np.ndarray]:
-    """First and last row of each facet among those of the rays, and whether it lies beside all their columns."""
+    """First and last row of each facet among those of the rays, and whether it lies outside all their columns."""
     is_before = corners[..., 2] > 0
-    # What reaches behind the camera may cover any row; the spans tell.
+    # A facet that reaches behind the camera may cover any row; the spans decide.
     is_whole = is_before.all(axis=1)
     column, row = np.moveaxis(corners[..., :2] / np.where(is_before, corners[..., 2], 1.0)[..., None], -1, 0)
     first, last = int(rays.row.min()), int(rays.row.max())
@@ -184,7 +185,7 @@ def _spans(facing: _Facing, rays: RowRays) -> _Spans:
     left = np.full(len(which), float(rays.column.min()))
     right = np.full(len(which), float(rays.column.max()))
     for edge in np.moveaxis(facing.edges, 1, 0):
-        # A level side bounds no column: where it is passed at all, this moves the bound beyond all of them.
+        # A horizontal side bounds no column: if it is crossed at all, its bound lies beyond all columns.
         slope = np.where(edge[:, 0] == 0, np.finfo(float).tiny, edge[:, 0])[which]
         with np.errstate(over="ignore"):
             bound = -(edge[which, 1] * row + edge[which, 2]) / slope
@@ -195,7 +196,7 @@ def _spans(facing: _Facing, rays: RowRays) -> _Spans:
 
 
 def _meetings(spans: _Spans, rays: RowRays) -> tuple[Int[np.ndarray, " met"], Int[np.ndarray, " met"]]:
-    """Facet, counted through `_Facing`, and ray of every meeting."""
+    """Facet, as an index into `_Facing`, and ray of every hit."""
     low = rays.column.min()
     # One number orders rays by row, then column.
     width = rays.column.max() - low + 1.0
@@ -209,6 +210,6 @@ def _meetings(spans: _Spans, rays: RowRays) -> tuple[Int[np.ndarray, " met"], In
 
 
 def _counted(numbers: Int[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " total"], Int[np.ndarray, " total"]]:
-    """Count through each number: whose count it is, and the count from 0."""
+    """Enumerate the range of each number: index of the number, and position from 0."""
     which = np.repeat(np.arange(len(numbers)), numbers)
     return which, np.arange(len(which)) - (np.cumsum(numbers) - numbers)[which]

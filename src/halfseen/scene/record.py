@@ -1,6 +1,6 @@
-"""Take a picture of a table: the cloud that the sensor returns, its colours, and the truth beside it.
+"""Take a picture of a table: the sensor's cloud, its colours, and the truth.
 
-A colour camera sees glazes with their stains and spots, shaded, and pixel noise. All numbers are ours.
+A colour camera sees shaded glazes with stains and spots, and pixel noise. All numbers are our own choice.
 """
 
 from collections.abc import Sequence
@@ -18,19 +18,19 @@ from halfseen.scene.view import IdealView, lone_depths_m, table_view
 from halfseen.scene.xtion import XTION, StructuredLight, sense
 from halfseen.shapes import Bool, Float
 
-_HANDLE_M = 0.0015  # what is farther than this outside the wall is handle
+_HANDLE_M = 0.0015  # points farther than this outside the wall belong to the handle
 
 
 @dataclass(frozen=True)
 class ColourCamera:
-    """How a colour camera sees a room.
+    """Model of a colour camera.
 
     Parameters
     ----------
     furniture, dark
-        Colours of the room, and of what is neither room nor cup: robots, and where nothing is met.
+        Colours of the room, and of pixels that show neither room nor cup: robots, or nothing.
     ambient_share
-        Brightness of a surface that is seen at a grazing angle, as a share of that seen square on.
+        Brightness of a surface at a grazing angle, relative to perpendicular view.
     noise
         Standard deviation of each channel of a pixel, of 255.
     """
@@ -52,7 +52,7 @@ def colours(
     rng: np.random.Generator,
     colour_camera: ColourCamera = COLOUR_CAMERA,
 ) -> Picture:
-    """Take a colour picture of what an ideal camera sees.
+    """Take a colour picture of an ideal view.
 
     Parameters
     ----------
@@ -61,11 +61,11 @@ def colours(
     camera
         Its camera.
     surfaces, world_from_cup
-        Each cup with what is on its walls, and where it is.
+        Each cup with its stains and spots, and its pose.
     rng
         Source of the noise.
     colour_camera
-        How colours are seen.
+        Model of the colour camera.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def colours(
     Raises
     ------
     SceneError
-        There is not one surface for every cup.
+        The numbers of surfaces and cups differ.
     """
     if len(surfaces) != len(world_from_cup):
         raise SceneError(f"colours: {len(surfaces)} surfaces and {len(world_from_cup)} cups; give one for every cup")
@@ -101,7 +101,7 @@ def painted(surface: Surface, points_m: Points) -> Float[np.ndarray, "n 3"]:
 
 
 def is_within(disc: Stain, cup: Cup, points_m: Points) -> Bool[np.ndarray, " n"]:
-    """Which points of a cup lie in a disc, on its side of the wall; those of the handle lie in none.
+    """Whether points of a cup lie in a disc, on its side of the wall; points of the handle lie in none.
 
     Points are in the cup's own frame [m].
     """
@@ -114,7 +114,7 @@ def is_within(disc: Stain, cup: Cup, points_m: Points) -> Bool[np.ndarray, " n"]
 
 
 def middle_m(disc: Stain, cup: Cup) -> Float[np.ndarray, "3"]:
-    """Middle of a disc, on its side of the wall, in the cup's frame [m]."""
+    """Centre of a disc, on its side of the wall, in the cup's frame [m]."""
     radius_m = cup.radius_at(disc.height_m) - (cup.wall_m if disc.is_inside else 0.0)
     return np.array([radius_m * np.cos(disc.angle_rad), radius_m * np.sin(disc.angle_rad), disc.height_m])
 
@@ -126,11 +126,11 @@ class Capture:
     Parameters
     ----------
     cloud
-        Organised cloud in the camera's frame; coordinates are float32 numbers, so that a file holds them exactly.
+        Organised cloud in the camera's frame; coordinates are float32 numbers, so that a file stores them exactly.
     depth_m
         The depth image that the cloud was made from [m]; NaN where nothing returned.
     truth
-        What is true of the table. Perception must not see it.
+        Ground truth of the table. Perception must not use it.
     """
 
     cloud: Cloud
@@ -150,9 +150,9 @@ def capture(
     seed
         Seed of the sensor's noise.
     sensor
-        What the depth camera is.
+        Model of the depth camera.
     surfaces
-        What is on the walls of each cup, for a cloud with colour; None for one without.
+        Glaze, stains and spots of each cup, for a cloud with colour; None for one without.
 
     Returns
     -------
@@ -162,7 +162,7 @@ def capture(
     view = table_view(table, sensor.baseline_m)
     rng = np.random.default_rng(seed)
     depth_m = sense(view, table.camera.focal_px[0], rng, sensor)
-    # Colours draw last, so that depths are the same without them.
+    # Colours are drawn last, so that depths do not depend on them.
     picture = None if surfaces is None else colours(view, table.camera, surfaces, table.world_from_cup, rng)
     lifted = Cloud.from_depth(depth_m, table.camera.intrinsics, table.name, picture)
     cloud = replace(lifted, points_m=lifted.points_m.astype(np.float32).astype(np.float64))

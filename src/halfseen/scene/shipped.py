@@ -1,8 +1,8 @@
-"""The ten tables that come with the package: clouds for everyone, truth for tests.
+"""The ten tables that come with the package: clouds for all users, truth for tests.
 
-A cloud is an organised PCD file in the camera's frame, with its intrinsics in the header. To keep the ten small,
-returns beyond 1.8 m (the room behind the table) are left out of the files; `capture` keeps them. The truth of each
-table is a JSON file beside them: cups, poses, camera, labels (as run lengths), occlusion.
+A cloud is an organised PCD file in the camera's frame, with its intrinsics in the header. To keep the files small,
+they omit returns beyond 1.8 m (the room behind the table); `capture` keeps them. The truth of each table is a JSON
+file: cups, poses, camera, labels (as run lengths), occlusion.
 """
 
 import json
@@ -24,7 +24,7 @@ from halfseen.scene.table import Camera, Table, Truth
 from halfseen.shapes import Int
 from halfseen.writing import write_file
 
-# Table k and its noise are drawn with seed SEEDS[k]; picked so that the numbers of cups spread over 5 to 10.
+# Table k and its noise are drawn with seed SEEDS[k]; the seeds cover numbers of cups from 5 to 10.
 SEEDS = (0, 3, 7, 8, 9, 11, 12, 14, 19, 21)
 KEPT_WITHIN_M = 1.8
 NUM_TABLES = len(SEEDS)
@@ -52,7 +52,7 @@ def read_truth(k: int) -> Truth:
     Returns
     -------
     Truth
-        Labels, occlusion and the rest; perception must not see it.
+        Ground truth; perception must not use it.
 
     Raises
     ------
@@ -95,9 +95,9 @@ def read_table(k: int) -> Table:
 
 
 def write_shipped(folder: Path, which: Iterable[int]) -> None:
-    """Make tables again, cloud and truth; each file appears whole or not at all.
+    """Regenerate tables, cloud and truth; each file is written completely or not at all.
 
-    ``tables`` and ``truth`` are made in the folder.
+    Files go to ``tables`` and ``truth`` in the folder.
 
     Raises
     ------
@@ -120,17 +120,17 @@ def write_shipped(folder: Path, which: Iterable[int]) -> None:
 
 
 def versions() -> dict[str, str]:
-    """Versions on which the bytes of a table depend: those that are installed now."""
+    """Installed versions of the packages on which the bytes of a table depend."""
     return {name: version(name) for name in ("mujoco", "numpy", "scipy")}
 
 
 def made_with(k: int) -> dict[str, str]:
-    """Read with which versions of the packages on which its bytes depend a shipped table was made, from 0 to 9."""
+    """Read the versions of those packages with which shipped table k, from 0 to 9, was made."""
     return _read_json(k)["made_with"]
 
 
 def within(cloud: Cloud, reach_m: float) -> Cloud:
-    """Leave out the returns beyond a depth [m]; their rays stay, as NaN."""
+    """Replace the returns beyond a depth by NaN [m]."""
     points_m = np.where(cloud.points_m[:, 2:] <= reach_m, cloud.points_m, np.nan)
     return replace(cloud, points_m=points_m)
 
@@ -146,7 +146,7 @@ def truth_path(folder: Path, k: int) -> Path:
 
 
 def run_lengths(labels: Int[np.ndarray, "H W"]) -> list[list[int]]:
-    """Write labels row by row as [label, how many pixels] pairs."""
+    """Encode labels row by row as pairs [label, number of pixels]."""
     flat = labels.ravel()
     starts = np.concatenate([[0], np.flatnonzero(np.diff(flat)) + 1])
     counts = np.diff(np.concatenate([starts, [len(flat)]]))
@@ -154,7 +154,7 @@ def run_lengths(labels: Int[np.ndarray, "H W"]) -> list[list[int]]:
 
 
 def labels_of(runs: list[list[int]], shape: tuple[int, int]) -> Int[np.ndarray, "H W"]:
-    """Read labels from run lengths; the inverse of `run_lengths`."""
+    """Decode labels from run lengths; the inverse of `run_lengths`."""
     label, count = np.array(runs, dtype=np.int64).T
     return np.repeat(label, count).reshape(shape)
 

@@ -1,7 +1,7 @@
-"""A table with cups at rest, the camera that looks at it, and what is true of it: labels, who hides whom, places.
+"""A table with cups at rest, its camera, and its ground truth: labels, mutual occlusion, positions.
 
-Geometry only, without sensor noise. The camera's frame has x to the right, y down and z forward; a pixel (column u, row
-v) looks along ((u − cx)/fx, (v − cy)/fy, 1), with pixel centres at whole numbers.
+Geometry only, without sensor noise. The camera's frame has x to the right, y down and z forward. The ray of a pixel
+(column u, row v) is ((u − cx)/fx, (v − cy)/fy, 1), with pixel centres at integers.
 """
 
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ class Camera:
 
     @property
     def intrinsics(self) -> Intrinsics:
-        """Matrix K that takes a point of the camera's frame to homogeneous pixels."""
+        """Matrix K that maps points of the camera's frame to homogeneous pixels."""
         (fx, fy), (cx, cy) = self.focal_px, self.centre_px
         return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
@@ -65,7 +65,7 @@ class Camera:
         return np.stack([x, y, np.ones_like(x)], axis=2)
 
     def project(self, points_m: Points) -> Float[np.ndarray, "n 2"]:
-        """Find where world points appear in the picture.
+        """Project world points into the picture.
 
         Parameters
         ----------
@@ -91,7 +91,7 @@ class Camera:
 
 
 def look_at(position_m: Float[np.ndarray, " 3"], target_m: Float[np.ndarray, " 3"]) -> Pose:
-    """Pose (``world_from_camera``) of a level camera at one point of the world that looks at another, z up [m]."""
+    """Pose (``world_from_camera``) of a level camera at one world point that looks at another, z up [m]."""
     forward = (target_m - position_m) / np.linalg.norm(target_m - position_m)
     right = np.cross(forward, np.array([0.0, 0.0, 1.0]))
     right /= np.linalg.norm(right)
@@ -120,14 +120,14 @@ class Table:
     world_from_cup
         Pose of each cup, in the same order.
     camera
-        The camera that looks at the table.
+        The camera.
     name
-        Where the table comes from, for reports.
+        Origin of the table, for reports.
 
     Raises
     ------
     SceneError
-        There is not one pose for every cup.
+        The numbers of cups and poses differ.
     """
 
     cups: tuple[Cup, ...]
@@ -148,18 +148,18 @@ class Table:
 
     @property
     def is_fallen(self) -> ObjectMask:
-        """Which cups lie on their side: the axis is more than 60° off the vertical."""
+        """Whether each cup lies on its side: its axis is more than 60° off the vertical."""
         return np.array([pose.rotation[2, 2] < _FALLEN_COSINE for pose in self.world_from_cup], dtype=bool)
 
     @property
     def is_over_top(self) -> ObjectMask:
-        """Which cups have their middle over the table's top, not higher than things on it may be."""
+        """Whether the middle of each cup is above the table top, at most 0.5 m high."""
         half_m, away_m = 0.5 * np.array(TABLE_SIZE_M), self.centroid_m - (0.0, 0.0, TABLE_TOP_M)
         return (np.abs(away_m[:, :2]) <= half_m).all(axis=1) & (away_m[:, 2] > 0.0) & (away_m[:, 2] < _HIGHEST_M)
 
     @property
     def height_m(self) -> PerObject:
-        """Height of each cup as it was made, underside to rim, whether it stands or lies [m]."""
+        """Height of each cup along its own axis, underside to rim, standing or lying [m]."""
         return np.array([cup.height_m for cup in self.cups])
 
     @property
@@ -178,27 +178,27 @@ Depths = Float[np.ndarray, "N H W"]
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What a perfect observer knows of a table with N cups.
+    """Ground truth of a table with N cups.
 
-    Only cups hide cups here: the table top, into which contact lets a cup sink by some 0.01 mm, hides nothing. Parts of
-    a silhouette that only the sensor loses (shadow, grazing angles) are not hidden.
+    Only cups hide cups: the table top, into which contact lets a cup sink by about 0.01 mm, hides nothing. Parts of a
+    silhouette that only the sensor loses (shadow, grazing angles) are not hidden.
 
     Parameters
     ----------
     labels
-        Cup that each pixel shows; −1 where it shows none.
+        Cup shown by each pixel; −1 for none.
     occlusion
-        Hidden share of each cup's silhouette while all cups stand there, in [0, 1].
+        Hidden share of each cup's silhouette with all cups present, in [0, 1].
     hides
-        ``hides[i, j]`` is the share of cup i's silhouette (i alone) that j covers if only i and j are there.
+        ``hides[i, j]`` is the share of cup i's silhouette (i alone) that j covers if only i and j are present.
     silhouette_px
-        Size of each cup's silhouette when it is alone [px].
+        Size of each cup's silhouette alone [px].
     centroid_m
         Middle of each cup's axis in the camera's frame [m].
     is_fallen
-        Which cups lie on their side.
+        Whether each cup lies on its side.
     height_m
-        Height of each cup as it was made, underside to rim, whether it stands or lies [m].
+        Height of each cup along its own axis, underside to rim, standing or lying [m].
     """
 
     labels: Int[np.ndarray, "H W"]
@@ -216,9 +216,9 @@ class Truth:
 
 
 def truth_of(table: Table, lone_depths_m: Depths) -> Truth:
-    """Work out the truth from the depth image of each cup alone [m]; infinite where the cup is not.
+    """Compute the truth from the depth image of each cup alone [m]; infinite outside the cup.
 
-    It is exact to the pixel: the nearest cup of a pixel hides the others.
+    It is exact to the pixel: the nearest cup in a pixel hides the others.
     """
     silhouettes = np.isfinite(lone_depths_m)
     labels = np.where(silhouettes.any(axis=0), lone_depths_m.argmin(axis=0), -1)
@@ -229,7 +229,7 @@ def truth_of(table: Table, lone_depths_m: Depths) -> Truth:
         occlusion=1.0 - seen_px / size_px,
         hides=_hides(lone_depths_m, silhouettes),
         silhouette_px=size_px,
-        # To the nanometre: the last bits depend on the processor.
+        # Rounded to a nanometre: the last bits depend on the processor.
         centroid_m=np.round(table.camera.world_from_camera.apply_inverse(table.centroid_m), 9),
         is_fallen=table.is_fallen,
         height_m=table.height_m,
@@ -242,7 +242,7 @@ def _hides(lone_depths_m: Depths, silhouettes: Bool[np.ndarray, "N H W"]) -> Hid
     hides = np.zeros((num_cups, num_cups))
     for i, silhouette in enumerate(silhouettes):
         depths_m = lone_depths_m[:, silhouette]
-        # At equal depths the earlier cup is the one that labels show.
+        # At equal depths labels show the earlier cup.
         is_nearer = depths_m < depths_m[i]
         is_nearer[:i] |= depths_m[:i] == depths_m[i]
         hides[i] = is_nearer.mean(axis=1)

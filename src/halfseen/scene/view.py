@@ -1,6 +1,6 @@
-"""The room as MuJoCo sees it, and what an ideal camera sees of it: depth, labels, the silhouette of each cup alone.
+"""The room as a MuJoCo model, and the view of an ideal camera: depth, labels, the silhouette of each cup alone.
 
-In the room are a floor, a wall, a table, and the cups on it, free to move or fixed.
+The room has a floor, a wall, and a table with cups, free to move or fixed.
 """
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
@@ -25,7 +25,7 @@ _TOP_THICKNESS_M = 0.03
 _LEG_RADIUS_M = 0.025
 _WALL_BEHIND_M = 1.4  # from the table's middle
 _DENSITY = 2300.0  # stoneware [kg/m³]
-# Sliding [-], spinning [m] and rolling [m] friction; a cup that lies must stop rolling as it does on wood.
+# Sliding [-], spinning [m] and rolling [m] friction; a lying cup must stop rolling as it does on wood.
 _FRICTION = (0.6, 0.004, 0.0015)
 _STIFF_CONTACT = (0.006, 1.0)  # time constant [s] and damping ratio: a cup sinks in by less than 0.1 mm
 
@@ -36,7 +36,7 @@ def cup_name(index: int) -> str:
 
 
 def room_model(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: bool) -> mujoco.MjModel:
-    """Compile the whole room; physics may move the cups where they are free, and else they are fixed.
+    """Compile the whole room; physics moves the cups if they are free, otherwise they are fixed.
 
     Body ``cup_i`` is cup i; everything else belongs to the world body.
     """
@@ -44,7 +44,7 @@ def room_model(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: 
 
 
 def room_spec(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: bool) -> mujoco.MjSpec:
-    """Build the whole room without compiling it, so that more can be added; parameters are those of `room_model`."""
+    """Build the whole room without compiling it, so that it can be extended; parameters are those of `room_model`."""
     spec = _empty_spec()
     _add_furniture(spec)
     for index, (cup, pose) in enumerate(zip(cups, world_from_cup, strict=True)):
@@ -53,7 +53,7 @@ def room_spec(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: b
 
 
 def lone_cup_model(cup: Cup, world_from_cup: Pose) -> mujoco.MjModel:
-    """Compile a world that holds nothing but one cup, fixed; body 1 is the cup."""
+    """Compile a world with one fixed cup and nothing else; body 1 is the cup."""
     spec = _empty_spec()
     _add_cup(spec, 0, cup, world_from_cup, is_free=False)
     return spec.compile()
@@ -87,7 +87,7 @@ def _add_furniture(spec: mujoco.MjSpec) -> None:
 
 
 def _add_cup(spec: mujoco.MjSpec, index: int, cup: Cup, pose: Pose, *, is_free: bool) -> None:
-    """Add a cup: rays meet the hollow mesh, contacts its convex hull, which is exact while nothing is inside."""
+    """Add a cup: rays hit the hollow mesh; contacts use its convex hull, which is exact while the cup is empty."""
     body = spec.worldbody.add_body(name=cup_name(index), pos=list(pose.position_m), quat=list(pose.quaternion))
     if is_free:
         body.add_freejoint()
@@ -114,7 +114,7 @@ def _add_mesh(spec: mujoco.MjSpec, name: str, vertices: Vertices, faces: Faces) 
 
 
 LIT_TOLERANCE_M = 0.002
-"""A ray from the projector may stop this much before a point and still light it [m]."""
+"""A ray from the projector lights a point even if it ends this much before it [m]."""
 _REACH_M = 8.0
 
 
@@ -125,11 +125,11 @@ class IdealView:
     Parameters
     ----------
     depth_m
-        Distance along the camera's z axis [m]; NaN where nothing is met.
+        Depth along the camera's z axis [m]; NaN without a hit.
     body
-        Body of each pixel: 0 is the room, i + 1 is cup i, −1 is nothing; what else a model has comes after the cups.
+        Body of each pixel: 0 is the room, i + 1 is cup i, −1 is nothing; other bodies of the model follow the cups.
     incidence_cosine
-        Cosine of the angle between ray and surface normal; NaN where nothing is met.
+        Cosine of the angle between ray and surface normal; NaN without a hit.
     is_lit
         True where a projector beside the camera reaches the point that the camera sees.
     """
@@ -141,7 +141,7 @@ class IdealView:
 
     @property
     def labels(self) -> Int[np.ndarray, "H W"]:
-        """Cup of each pixel; −1 where there is none."""
+        """Cup of each pixel; −1 for none."""
         return np.where(self.body > 0, self.body - 1, -1)
 
 
@@ -152,9 +152,9 @@ def ideal_view(
     data: mujoco.MjData | None = None,
     groups: tuple[int, ...] = SEEN_GROUPS,
 ) -> IdealView:
-    """See a model with an ideal camera, and from a projector that stands `baseline_m` to its right [m].
+    """View a model with an ideal camera, and a projector `baseline_m` to its right [m].
 
-    `data` tells where the bodies are, None for where they begin, and `groups` which geoms are seen.
+    `data` holds the poses of the bodies, None for their initial poses; `groups` are the visible geoms.
     """
     depth_m, hits, directions = pixel_hits(model, camera, data=data, groups=groups)
     origin_m = np.asarray(camera.world_from_camera.position_m)
@@ -170,9 +170,9 @@ def ideal_view(
 
 @lru_cache(maxsize=1)
 def table_view(table: Table, baseline_m: float) -> IdealView:
-    """See a table, with everything on it, with its own camera; the last view is kept, as who draws a table looks at it.
+    """View a table with its own camera; the last view is cached, because a drawn table is usually viewed again.
 
-    The projector stands `baseline_m` to the camera's right [m]. Arrays are read-only.
+    The projector is `baseline_m` to the camera's right [m]. Arrays are read-only.
     """
     view = ideal_view(room_model(table.cups, table.world_from_cup, is_free=False), table.camera, baseline_m)
     for image in (view.depth_m, view.body, view.incidence_cosine, view.is_lit):
@@ -182,10 +182,10 @@ def table_view(table: Table, baseline_m: float) -> IdealView:
 
 @lru_cache(maxsize=1)
 def lone_depths_m(table: Table) -> Float[np.ndarray, "N H W"]:
-    """See every cup as if it stood alone in the world; what was seen of the last table is kept.
+    """Depth image of every cup alone in the world; the result for the last table is cached.
 
-    Only pixels inside the box around the cup's outline are cast, so that ten cups cost less than one full picture.
-    Depths [m] are infinite where the cup is not, and read-only.
+    Rays are cast only inside the bounding box of the cup's outline, so that ten cups cost less than one full picture.
+    Depths [m] are infinite outside the cup, and read-only.
     """
     depths_m = np.full((table.num_cups, table.camera.num_rows, table.camera.num_columns), np.inf)
     for index, (cup, pose) in enumerate(zip(table.cups, table.world_from_cup, strict=True)):
@@ -213,10 +213,9 @@ def pixel_hits(
     data: mujoco.MjData | None = None,
     groups: tuple[int, ...] = SEEN_GROUPS,
 ) -> tuple[Float[np.ndarray, "*px"], Hits, Directions]:
-    """Cast the rays of the pixels of a window; all else is as for `ideal_view`.
+    """Cast the rays of the pixels of a window; other parameters are those of `ideal_view`.
 
-    What comes back is the depth of each pixel, NaN where nothing is met [m], what each ray met, and where it points in
-    the world.
+    Returns the depth of each pixel, NaN without a hit [m], the hits, and the direction of each ray in the world.
     """
     rays = camera.pixel_rays()[window]
     lengths = np.linalg.norm(rays, axis=-1)
@@ -232,15 +231,16 @@ def is_reached(
     data: mujoco.MjData | None,
     groups: tuple[int, ...] = SEEN_GROUPS,
 ) -> Bool[np.ndarray, " n"]:
-    """Which points the projector reaches: the first thing on the way to a point is the point itself.
+    """Whether the projector reaches each point: the first hit on the way to it is the point itself.
 
-    Both stand in the world [m]; nothing reaches a NaN. All else is as for `ideal_view`.
+    Projector and points are in world coordinates [m]; a NaN is never reached. Other parameters are those of
+    `ideal_view`.
     """
     is_point = np.isfinite(points_m[:, 0])
     ways_m = points_m[is_point] - projector_m
     lengths_m = np.linalg.norm(ways_m, axis=1)
     first = cast(model, projector_m, ways_m / lengths_m[:, None], _REACH_M + 1.0, data, groups)
-    # A ray that meets nothing passed by the edge of the very surface it was aimed at: the point is lit.
+    # A ray without a hit passed the edge of the surface at which it was aimed: the point is lit.
     reached = np.isnan(first.distance_m) | (first.distance_m >= lengths_m - LIT_TOLERANCE_M)
     is_lit = np.zeros(len(points_m), dtype=bool)
     is_lit[is_point] = reached
@@ -248,7 +248,7 @@ def is_reached(
 
 
 def _window(camera: Camera, cup: Cup, world_from_cup: Pose) -> tuple[slice, slice]:
-    """Rows and columns of the box around a cup's outline, inside the picture."""
+    """Rows and columns of the bounding box of a cup's outline, within the picture."""
     pixels = camera.project(world_from_cup.apply(outline(cup)))
     low = np.floor(pixels.min(axis=0)).astype(int)
     high = np.ceil(pixels.max(axis=0)).astype(int) + 1

@@ -1,9 +1,9 @@
 """The depth camera: a structured-light sensor, by default one like the Asus Xtion PRO.
 
-The field of view (58° × 45°), the picture (640 × 480) and the far end of the range are the maker's figures. The
-projector beside the camera makes a triangle of baseline b, so depth is z = f·b/d with the disparity d [px], and an
-error of d becomes an error of z that grows with z². Numbers marked "ours" are chosen here, to be like this family of
-sensors. How far perception takes such depths to err is `halfseen.perception.DepthSensor`'s.
+The field of view (58° × 45°), the picture size (640 × 480) and the far end of the range are the manufacturer's. Camera
+and projector triangulate with baseline b: depth is z = f·b/d with the disparity d [px], and an error of d becomes an
+error of z that grows with z². Numbers marked "ours" are our own choice, typical of this family of sensors. The error
+model that perception assumes is `halfseen.perception.DepthSensor`.
 """
 
 from dataclasses import dataclass
@@ -23,23 +23,23 @@ FIELD_OF_VIEW_RAD = (np.deg2rad(58.0), np.deg2rad(45.0))
 
 @dataclass(frozen=True)
 class StructuredLight:
-    """How a projector and a camera beside it measure depth.
+    """Model of a depth camera with a projector beside it.
 
     Parameters
     ----------
     baseline_m
-        From the camera to the projector on its right, so that shadows fall to the left [m].
+        Distance from the camera to the projector on its right; shadows fall to the left [m].
     range_m
         Nearest and farthest depth that returns [m].
     disparity_step_px
-        Disparities are measured in steps of this [px].
+        Step in which disparities are measured [px].
     shared_noise_px, own_noise_px
-        Standard deviation of the disparity's noise: the part that neighbouring pixels share, as they are matched by
-        overlapping windows, and the part of each pixel's own [px].
+        Standard deviation of the disparity noise: the part shared by neighbouring pixels, which are matched by
+        overlapping windows, and each pixel's own part [px].
     window_px
         Spread of the shared part [px].
     grazing_rad
-        From the first angle between ray and normal on, some rays do not return; from the second on, none does [rad].
+        Angles between ray and normal: from the first on, some rays do not return; from the second on, none does [rad].
     """
 
     baseline_m: float
@@ -52,9 +52,9 @@ class StructuredLight:
 
 
 XTION = StructuredLight(
-    baseline_m=0.075,  # ours, as is the side
+    baseline_m=0.075,  # ours, and so is the side
     range_m=(0.5, 3.5),  # the near end is ours
-    disparity_step_px=1 / 8,  # ours, as is all that follows; the noise is 0.1 px together
+    disparity_step_px=1 / 8,  # ours, and so is everything below; the total noise is 0.1 px
     shared_noise_px=0.09,
     own_noise_px=0.044,
     window_px=3.0,
@@ -63,7 +63,7 @@ XTION = StructuredLight(
 
 
 def xtion_at(world_from_camera: Pose) -> Camera:
-    """Put the sensor's camera somewhere: 640 × 480 pixels, principal point in the middle.
+    """The sensor's camera at a pose: 640 × 480 pixels, principal point in the middle.
 
     fx = 577.3 px and fy = 579.4 px follow from the field of view.
     """
@@ -74,7 +74,7 @@ def xtion_at(world_from_camera: Pose) -> Camera:
 
 
 def sense(view: IdealView, focal_px: float, rng: np.random.Generator, sensor: StructuredLight = XTION) -> Image:
-    """Turn an ideal view into what the sensor returns, depth [m].
+    """Turn an ideal view into the sensor's depth image [m].
 
     It is NaN where nothing returns: out of range, in the projector's shadow, or at a grazing angle. `focal_px` is the
     horizontal focal length [px].
@@ -89,15 +89,15 @@ def sense(view: IdealView, focal_px: float, rng: np.random.Generator, sensor: St
 
 
 def disparity_noise_px(shape: tuple[int, ...], rng: np.random.Generator, sensor: StructuredLight = XTION) -> Image:
-    """Draw the noise of the disparity of rows and columns of pixels, partly shared between neighbours [px]."""
+    """Draw the disparity noise of an image, partly shared between neighbours [px]."""
     smooth = gaussian_filter(rng.standard_normal(shape), sensor.window_px, mode="wrap")
-    # A Gaussian filter of spread s leaves 1/(4·π·s²) of the variance of white noise.
+    # A Gaussian filter of spread s reduces the variance of white noise to 1/(4·π·s²).
     shared = smooth * np.sqrt(4 * np.pi) * sensor.window_px
     return sensor.shared_noise_px * shared + sensor.own_noise_px * rng.standard_normal(shape)
 
 
 def noisy_disparity_px(depth_m: Image, noise_px: Image, focal_px: float, sensor: StructuredLight = XTION) -> Image:
-    """Measure the disparity f·b/z + noise, rounded to the sensor's steps [px]; NaN where there is nothing."""
+    """Measure the disparity f·b/z + noise, rounded to the sensor's steps [px]; NaN where the depth is NaN."""
     exact_px = focal_px * sensor.baseline_m / depth_m
     return np.round((exact_px + noise_px) / sensor.disparity_step_px) * sensor.disparity_step_px
 
@@ -113,9 +113,9 @@ def depth_from_disparity_m(disparity_px: Image, focal_px: float, sensor: Structu
 def loss_probability(
     incidence_cosine: Float[np.ndarray, "..."], sensor: StructuredLight = XTION
 ) -> Float[np.ndarray, "..."]:
-    """Give the probability that a ray is lost at a grazing angle: from 0 to 1 between two angles, a ramp.
+    """Probability that a ray is lost at a grazing angle: a linear ramp from 0 to 1 between two angles.
 
-    It is 1 where nothing is met, and the cosine NaN.
+    It is 1 where the cosine is NaN, without a hit.
     """
     angle_rad = np.arccos(np.clip(incidence_cosine, 0.0, 1.0))
     low_rad, high_rad = sensor.grazing_rad

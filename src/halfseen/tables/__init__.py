@@ -1,16 +1,16 @@
-"""The task of tables: where the learners meet the world, for any number of robots.
+"""The table task: learning from logs of tables, for one robot or several.
 
-Read down: `features` (what Q looks at) → `grasp_attempts`, `grasp_models`, `grasp_table`, `grasp_choice` (how likely a
-grasp is to succeed, learned from attempts) → `encoding` (logs → features, and what cuts may depend on) → `rewards`
-(less noise in the targets) → `policy` (what was learned, and what policies would have done) → `task` (all of it behind
-one seam) → `explain` (why) → `present` (what is seen now, and what was logged of the trajectory so far → the state to
-decide in), `first_look` (labels → how likely each object is dirty). Of several robots: `agent_logs`, what each made by
-itself.
+In reading order: `features` (inputs of Q) → `grasp_attempts`, `grasp_models`, `grasp_table`, `grasp_choice` (the
+probability of a grasp, learned from attempts) → `encoding` (logs → features, and covariates of cuts) → `rewards`
+(targets with less noise) → `policy` (learned policies, and action probabilities of any policy) → `task` (all of these
+behind one interface) → `explain` (the reason for an action) → `present` (the current view and the trajectory so far →
+the state to decide in), `first_look` (labels → P(DIRTY) of each object). `agent_logs` extracts the log of one robot
+from that of a team.
 
-Beside them, a world whose laws were fitted to the same log, for planners that know no law: `evidence` →
-`law_grasping`, `law_seeing` and `recorder` → `laws`; and the learners that start from what these laws imply:
-`look_ahead` (the look one step ahead) → `excess` (what it misses) → `assisted` (the policies) → `law_test` (does the
-log contradict the laws) → `learner`.
+A second group fits the laws of a world to the same log, for planners that are given none: `evidence` →
+`law_grasping`, `law_seeing` and `recorder` → `laws`. The model-assisted learners build on these laws: `look_ahead` (the
+one-step look-ahead) → `excess` (its error) → `assisted` (the policies) → `law_test` (does the log contradict the
+laws?) → `learner`.
 """
 
 from typing import TYPE_CHECKING

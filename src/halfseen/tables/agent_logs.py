@@ -1,20 +1,20 @@
-"""The agent view of a team's log: what one robot made itself, as the log of one that works alone.
+"""The agent view of a team's log: one robot's own decisions, as the log of a single robot.
 
-Its stages are its own decisions, but for WAIT, which a robot alone does not have: while it waits, its clock stands and
-nothing is paid. A stage lasts from its decision to its next one, or to its end; it pays what r_reward tells for the
-time between (`halfseen.world.logs`). Its table holds what it has reached so far, with its own attempts; what
-others take from there is in the dishwasher, what it no longer reaches is lost to it as long as that lasts, and what
-hides something from outside its reach is not in its table.
+Stages are the robot's own decisions except WAIT, which a single robot does not have: while it waits, its clock stands
+still and it earns no reward. A stage lasts from a decision to the next one, or to the robot's end; its reward is
+r_reward for the time between (`halfseen.world.logs`). The robot's table holds the objects that it has reached so far,
+with its own attempts. Objects taken from there by others are in the dishwasher. Objects that it no longer reaches are
+lost for as long as that lasts. Objects outside its reach are not on its table, even if they hide others.
 
-Its trajectory ends
+A trajectory ends
 
-- *cut*, with the cause, where it dropped out, or where the table was cut before it came to its own end;
-- *cut*, with the cause `SPENT`, where waiting had cost it decisions and the others were spent: alone it would have gone
-  on;
-- *finished*, where it parked, what it reaches was clear, the table was over, or its decisions were spent on other than
-  waiting. One that waits to its end finishes: the wait is a FINISH that takes as long.
+- *cut*, with the cause, where the robot dropped out, or where the table was cut before the robot's own end;
+- *cut*, with the cause `SPENT`, where it ran out of decisions after spending some on waiting: a single robot would have
+  continued;
+- *finished*, where the robot parked, its reach was clear, the table ended, or it spent its decisions without waiting. A
+  robot that waits to its end finishes: the wait becomes a FINISH of the same duration.
 
-A trajectory in which it began nothing that was seen is not in its log.
+A trajectory is left out if no action of the robot in it was observed.
 """
 
 from typing import Any
@@ -32,30 +32,30 @@ from halfseen.world.log_checks import ATTEMPT_BY, LOST, TABLE, checked_tables, r
 from halfseen.world.log_rows import FREE, OUT, PARKED, TableLog
 
 SPENT = "decisions-spent"
-"""Cause of a cut: waiting had cost the robot decisions that it would have had alone."""
+"""Cause of a cut: the robot spent decisions on waiting that it would have had alone."""
 _WAIT, _FINISH = VERB_NAMES[-1], Verb.FINISH.name
 _ATTEMPTS = tuple(VERB_NAMES[verb] for verb in TARGETED)
 _LEAST_S = 1e-6
-"""What a wait to the end takes at least, so that the clock of one robot rises [s]."""
+"""Least duration of a wait to the end, so that the robot's clock increases [s]."""
 _STAGE = ["trajectory", "stage"]
 
 
 def agent_view(logs: Logs, robot: int) -> Logs:
-    """Tell what one robot of a team did itself, as a log of one robot.
+    """Extract the actions of one robot of a team as a log of one robot.
 
     Parameters
     ----------
     logs
         The log of a team, with r_reward of that robot.
     robot
-        Its number.
+        Number of the robot.
 
     Raises
     ------
     ArgumentError
-        The log tells of no such robot.
+        The log has no such robot.
     LogError
-        The log breaks a rule of tables or of teams, a column is missing, or it began nothing in any trajectory.
+        The log breaks a rule of tables or of teams, a column is missing, or the robot never acted.
     """
     if robot not in set(logs.stages["robot"] if "robot" in logs.stages.columns else ()):
         raise ArgumentError(f"robot is {robot}, and it decides in no stage of the log; choose among its column robot")
@@ -78,9 +78,9 @@ def agent_view(logs: Logs, robot: int) -> Logs:
 
 
 def _own_stages(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Stages, and ends of trajectories, on the robot's own clock, which stands while it waits for what it does next."""
+    """Stages and ends of trajectories on the robot's own clock, which stands still during waits."""
     rows: Any = _own_rows(logs, robot, is_clear)
-    # A stage lasts from a decision to the next; waits one after another are one.
+    # A stage lasts from one decision to the next; consecutive waits are merged.
     decided = rows[rows["is_mine"]]
     goes_on = decided["is_wait"] & decided.groupby("trajectory")["is_wait"].shift(fill_value=False)
     begins = rows["is_mine"] & ~goes_on.reindex(rows.index, fill_value=False)
@@ -94,7 +94,7 @@ def _own_stages(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> 
     is_whole = is_seen | ~is_last
     until_s = last["end_s"].where(is_whole, np.where(is_out, ends["out_s"], ends["end_s"]))
     takes_s: Any = np.maximum(until_s - first["begin_s"], np.where(is_wait, _LEAST_S, 0.0))
-    # Cut while it waited: its clock had stood.
+    # Cut during a wait: the clock stood still.
     elapsed_s = takes_s.where(~is_wait | (is_last & is_whole), 0.0).groupby(first["trajectory"]).cumsum()
     is_known = is_whole & ~is_spent
     at: Any = logs.stages.iloc[first["at"]].reset_index(drop=True)
@@ -118,7 +118,7 @@ def _own_stages(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> 
 
 
 def _own_rows(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> pd.DataFrame:
-    """The team's stages from the robot's first decision to its end: until it is out of work, or its reach is clear."""
+    """The team's stages from the robot's first decision until it has no more work, or its reach is clear."""
     stages, (trajectory, _) = logs.stages, stage_places(logs)
     does, to_go = stages[f"{robot}_does"], stages[f"{robot}_decisions_to_go"]
     is_mine = stages["robot"] == robot
@@ -153,10 +153,10 @@ def _ends(logs: Logs, robot: int) -> pd.DataFrame:
 
 
 def _is_short(logs: Logs, first: pd.DataFrame, last: pd.DataFrame) -> pd.Series:
-    """Whether an attempt was the last for want of decisions, of which waiting had cost some.
+    """Whether an attempt was the last because decisions ran out, some of them spent on waiting.
 
-    It was not where it ended a trajectory in which somebody that does not go home still had decisions: the table was
-    clear.
+    False where the attempt ended a trajectory in which a robot that had not gone home still had decisions: the table
+    was clear.
     """
     stages, trajectory = logs.stages, first["trajectory"].to_numpy()
     end = stages.groupby(stage_places(logs)[0]).tail(1)
@@ -171,13 +171,13 @@ def _is_short(logs: Logs, first: pd.DataFrame, last: pd.DataFrame) -> pd.Series:
 
 
 def _is_clear(logs: Logs, mine: pd.DataFrame) -> Bool[np.ndarray, " rows"]:
-    """Whether nothing that the robot has reached so far, and reaches, stands on the table in each stage of the team."""
+    """Whether no object within the robot's reach is on the table, for each stage of the team."""
     left = pd.MultiIndex.from_frame(pd.DataFrame(mine.loc[mine["location"] == TABLE, _STAGE]))
     return ~pd.MultiIndex.from_frame(pd.DataFrame(logs.stages[_STAGE])).isin(left)
 
 
 def _in_reach(log: TableLog, objects: pd.DataFrame, is_reached: Bool[np.ndarray, " rows"]) -> pd.DataFrame:
-    """What the robot has reached so far, lost where it does not now; what hides it, too, as far as that was reached."""
+    """Objects that the robot has reached so far, lost while out of reach; hiding objects only if reached as well."""
     begin = np.arange(len(objects)) - objects.groupby(_STAGE, sort=False).cumcount().to_numpy()
     was_reached = (
         pd.Series(is_reached, index=objects.index).groupby([objects["trajectory"], objects["object"]]).cummax()
@@ -192,7 +192,7 @@ def _in_reach(log: TableLog, objects: pd.DataFrame, is_reached: Bool[np.ndarray,
 
 
 def _with_own_history(log: TableLog, robot: int) -> pd.DataFrame:
-    """Of the attempts at each object, those that the robot made; what was lifted was lifted by its last attempt."""
+    """Keep the robot's own attempts at each object; each lift belongs to the latest attempt."""
     objects, occluded, held = log.objects, log.lists("attempt_occlusions"), log.lists("attempt_succeeded")
     made_by, num_rows = _robots_of_attempts(log, robot), len(objects)
     is_mine = made_by == robot
@@ -214,12 +214,12 @@ def _with_own_history(log: TableLog, robot: int) -> pd.DataFrame:
 def _lists(
     values: np.ndarray, row: Int[np.ndarray, " k"], is_kept: Bool[np.ndarray, " k"], num_rows: int
 ) -> list[np.ndarray]:
-    """A list a row."""
+    """One list for each row."""
     return np.split(values[is_kept], np.cumsum(np.bincount(row[is_kept], minlength=num_rows))[:-1])
 
 
 def _through_arrow(objects: pd.DataFrame) -> pa.Table:
-    """Lists of a type of their own, also where each of them is empty."""
+    """The table with typed list columns, even if all lists are empty."""
     types = {"hidden_by": pa.float64(), "attempt_occlusions": pa.float64(), "attempt_succeeded": pa.bool_()}
     table = pa.Table.from_pandas(objects.drop(columns=list(types)), preserve_index=False)
     for name in filter(types.__contains__, objects.columns):
@@ -229,7 +229,7 @@ def _through_arrow(objects: pd.DataFrame) -> pa.Table:
 
 
 def _robots_of_attempts(log: TableLog, robot: int) -> Int[np.ndarray, " attempts"]:
-    """Who made each past attempt, by attempt_by; without it, who began it, or the robot itself before."""
+    """Robot of each past attempt, from attempt_by; else the robot that began it, or this one if before the log."""
     objects = log.objects
     if ATTEMPT_BY in objects.columns:
         return log.lists(ATTEMPT_BY).values.astype(np.int64)
@@ -250,7 +250,7 @@ def _robots_of_attempts(log: TableLog, robot: int) -> Int[np.ndarray, " attempts
 
 
 def _begun_attempts(logs: Logs) -> pd.DataFrame:
-    """Who tried which object of which trajectory, in order; what was abandoned is no attempt."""
+    """Robot and object of each attempt by trajectory, in order; abandoned attempts do not count."""
     stages, (trajectory, _) = logs.stages, stage_places(logs)
     is_last, is_out = ~stages.duplicated(["trajectory", "robot"], keep="last"), np.zeros(len(stages), dtype=bool)
     for robot in columns.robots_that_may_drop_out(logs.trajectories):

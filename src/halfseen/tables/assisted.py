@@ -1,9 +1,9 @@
-"""Policies that are learned of tables with the help of fitted laws, of one robot and of a team.
+"""Policies of tables that use fitted laws, for one robot and for a team.
 
-*Mending.* A recorder may have got log-odds wrong; then they are what its labels say under the fitted law. A policy sees
-log-odds, not labels. Along the log both are known, and what the fitted law makes of the same labels rises with what the
-recorder made of them: means between quantiles, straight lines between these. Where a look that shows nothing new is no
-news, and nothing was found, what was seen of an object says all: then the fitted law is asked.
+*Mending.* A recorder may compute wrong log-odds; they are then recomputed from its labels under the fitted law. But a
+policy sees log-odds, not labels. The log holds both, so a rising map from the recorder's log-odds to those of the
+fitted law is learned from it: means between quantiles, with linear interpolation. Where a look that shows nothing new
+is no news, and nothing was found, the seen share of an object determines its log-odds: the fitted law gives them.
 """
 
 from dataclasses import replace
@@ -28,16 +28,16 @@ from halfseen.world.state import TableState
 
 @record
 class Mending:
-    """Log-odds as a law has them, by what was recorded and seen.
+    """Log-odds under a law, computed from recorded log-odds and seen shares.
 
     Parameters
     ----------
     recorded, mended
-        A rising function of log-odds, straight between these.
+        Knots of a rising, piecewise linear function from recorded to recomputed log-odds.
     prior
-        Log-odds before any label; what is recorded below it was looked at, and nothing was found.
+        Log-odds before any label; a recorded value below it means that a look found nothing.
     law
-        Of what was looked at and found clean; None where each look is news, and the function holds for all.
+        Law for objects in which looks found nothing; None where each look is news, and the function covers all.
     """
 
     recorded: Float[np.ndarray, " k"]
@@ -46,11 +46,11 @@ class Mending:
     law: PersistentSeeing | None = None
 
     def __call__(self, state: TableState) -> TableState:
-        """The same state, its log-odds recomputed."""
+        """The same state with recomputed log-odds."""
         xp = library_of(state.log_odds)
         log_odds = xp.interp(state.log_odds, self.recorded, self.mended)
         if self.law is not None:
-            # What it adds to have found nothing in the share that was seen.
+            # Evidence of having found nothing in the seen share.
             missed = (1.0 - found for found in self.law.found_by(state.seen))
             if_dirty, if_clean = (xp.log(xp.maximum(each, 1e-6)) for each in missed)
             log_odds = xp.where(state.log_odds < self.prior, self.prior + (if_dirty - if_clean), log_odds)
@@ -62,7 +62,7 @@ class Excess:
     """E, linear by verb and steps to go; 0 for FINISH and with one step to go."""
 
     coefficients: Float[np.ndarray, "T 2 F"]
-    """The offset first."""
+    """Offset first."""
     low: Float[np.ndarray, "T 2"]
     high: Float[np.ndarray, "T 2"]
 
@@ -83,7 +83,7 @@ class Excess:
 
 
 def _by_steps(each: Float[Array, "T ..."], to_go: Int[Array, "*B"]) -> Float[Array, "..."]:
-    """Those of the steps to go of each table, the axes of the batch last."""
+    """Entries for the steps to go of each table, batch axes last."""
     xp, num_axes = library_of(each, to_go), np.ndim(to_go)
     return xp.moveaxis(xp.take(each, to_go, axis=0), range(num_axes), range(-num_axes, 0))
 
@@ -97,7 +97,7 @@ class LawPolicy(ByValue):
     config
         The world with its fitted laws.
     mending
-        Makes log-odds again where the recorder got them wrong; None where it did not.
+        Recomputes log-odds where the recorder's are wrong; None where they are right.
     """
 
     config: WorldConfig
@@ -107,26 +107,26 @@ class LawPolicy(ByValue):
 
     @property
     def horizon(self) -> int:
-        """T."""
+        """T, the stages of a trajectory."""
         return self.config.horizon
 
     def mended(self, state: TableState) -> TableState:
-        """The state, with log-odds as the laws have them."""
+        """The state with log-odds under the laws."""
         return state if self.mending is None else self.mending(state)
 
 
 @record
 class AssistedPolicy(LawPolicy):
-    """Q_1 + E_h: the look one step ahead, and what it misses (`synthetic`).
+    """Q_1 + E_h: the one-step look-ahead plus its learned error (`halfseen.tables.excess`).
 
     Parameters
     ----------
     config, mending
-        As of `LawPolicy`.
+        As in `LawPolicy`.
     excess
-        E; None for the look alone.
+        E; None for the look-ahead alone.
     is_seen
-        Which verbs the log has seen completed, the others are never taken; None for all.
+        Which verbs were completed in the log; the others are never taken. None for all.
     """
 
     excess: Excess | None = None
@@ -134,11 +134,11 @@ class AssistedPolicy(LawPolicy):
 
     @property
     def grasp(self) -> GraspModel:
-        """P(an attempt succeeds), as the fitted law has it."""
+        """P(an attempt succeeds) under the fitted law."""
         return TrueGrasp(self.config)
 
     def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
-        """Q of every action; −∞ where an action is impossible."""
+        """Q of every action; −∞ where it is impossible."""
         ahead = look_ahead.ahead_of(self.config, table_of(self.config, self.mended(state)))
         left = left_price(self.config, ahead.table)
         above = ahead.one_step if self.excess is None else ahead.one_step + self.excess(ahead)
@@ -151,20 +151,20 @@ class AssistedPolicy(LawPolicy):
 
 @record
 class RulePolicy(LawPolicy):
-    """The rule of thumb that counts history and penalty: where the log contradicts the laws, it relies on them least.
+    """The heuristic that counts history and penalty; it relies least on the laws where the log contradicts them.
 
     Parameters
     ----------
     config, mending
-        As of `LawPolicy`.
+        As in `LawPolicy`.
     grasp
-        What tells the probability of a grasp; None for the fitted law.
+        Model of the probability of a grasp; None for the fitted law.
     """
 
     grasp: GraspModel | None = None
 
     def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
-        """What a WASH is worth above leaving all; 0 of FINISH, −∞ of LIFT."""
+        """Value of a WASH above leaving all as it is; 0 for FINISH, −∞ for LIFT."""
         rule = GreedyPolicy(self.config, uses_history=True, counts_penalty=True, grasp=self.grasp)
         worth = rule.worth(self.mended(state))
         zero = library_of(worth).zeros_like(worth[..., 0])
@@ -176,14 +176,14 @@ EXCESS_CAUTION = 0.1
 
 @record
 class TeamExcess:
-    """E of a team, linear: by how much an action is worth more beside the myopic one than the myopic look says."""
+    """E of a team, linear: the error of the myopic look in the difference between an action and the myopic one."""
 
     coefficients: Float[np.ndarray, " F"]
     low: Number
     high: Number
-    """E is kept within these."""
+    """E is clipped to [low, high]."""
     caution: Number = EXCESS_CAUTION
-    """By how much an action must be better than the myopic one."""
+    """Least gain over the myopic action that another action must have."""
 
     @classmethod
     def none(cls) -> "TeamExcess":
@@ -191,9 +191,9 @@ class TeamExcess:
         return cls(np.zeros(look_ahead.NUM_TEAM_EXCESS_FEATURES, dtype=np.float32), 0.0, 0.0)
 
     def __call__(self, state: TableState, q: Float[Array, "*B A"]) -> Float[Array, "*B A"]:
-        """E of every action, less the caution; 0 of the best one by `q`, which is what the myopic look makes of each.
+        """E of every action minus the caution; 0 for the best one by `q`, the values of the myopic look.
 
-        WAIT, which is asked again after each event, is never made more of: errors would add up.
+        E of WAIT is never positive: WAIT is decided again after each event, so that errors would add up.
         """
         xp = library_of(q, self.coefficients)
         values, best = look_ahead.team_described(state, q) @ self.coefficients, xp.argmax(q, axis=-1)[..., None]
@@ -205,12 +205,12 @@ class TeamExcess:
 
 @record
 class AssistedTeamPolicy(ByValue):
-    """Decides one robot at a time: argmax of the myopic look under fitted laws and E, what it misses.
+    """Decides one robot at a time: argmax of the myopic look under fitted laws plus E, its learned error.
 
     Parameters
     ----------
     config
-        The team with its fitted laws, and the price at which a second is counted.
+        The team with its fitted laws, and the price of a second.
     excess
         E; None for the myopic look alone.
     """
@@ -220,20 +220,20 @@ class AssistedTeamPolicy(ByValue):
 
     @property
     def num_robots(self) -> int:
-        """K."""
+        """K, the robots of the team."""
         return self.config.num_robots
 
     @property
     def num_stages(self) -> int:
-        """Decisions of all robots together, for which it was learned."""
+        """Number of decisions of all robots together for which it was learned."""
         return self.config.num_stages
 
     @property
     def horizon(self) -> int:
-        """The same."""
+        """The same as `num_stages`."""
         return self.config.num_stages
 
     def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
-        """Worth of every action above leaving all as it is, WAIT last; −∞ where it is impossible."""
+        """Value of every action above leaving all as it is, WAIT last; −∞ where it is impossible."""
         q = MyopicPolicy(self.config).q_values(state)
         return q if self.excess is None else q + self.excess(state, q)

@@ -1,4 +1,4 @@
-"""From logs of tables to the dense arrays that the learner runs on, and to what their cuts may depend on."""
+"""Encoding of logs of tables as dense arrays for the learner, and as covariates of cuts."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -24,7 +24,7 @@ from halfseen.world.policy import GraspModel
 from halfseen.world.state import Layout, TableState
 
 TABLE_COVARIATES = ("num_objects", "mean_occlusion", ACTION, "target_occlusion")
-"""All of them; the first two are known as a trajectory begins."""
+"""All covariates; the first two are known at the beginning of a trajectory."""
 NUM_AT_BEGIN = 2
 _VERBS = tuple(verb.name for verb in Verb)
 
@@ -35,10 +35,10 @@ def encoded_states(
     is_state: Bool[np.ndarray, "n T"],
     grasp: GraspModel | None = None,
 ) -> Encoded:
-    """Encode tables, and what was done at each.
+    """Encode tables and their actions.
 
-    Of more trajectories than there are actions of, the first are encoded. Where there is no table, features are 0,
-    and FINISH alone is possible. `grasp` tells the probability of a grasp; None for the rule of succession.
+    States may have more trajectories than `action`; the first are encoded. Where there is no table, features are 0,
+    and only FINISH is possible. `grasp` models the probability of a grasp; None for the rule of succession.
     """
     num_trajectories, at = len(is_state), np.nonzero(is_state)
     return encoded_at(at, mapped(lambda leaf: leaf[:num_trajectories][at], states), action, grasp)
@@ -53,7 +53,7 @@ def encoded_at(
 ) -> Encoded:
     """Encode the tables of some stages, (trajectory, stage) from 0, of one robot or several.
 
-    `choices` tells which actions there are to choose from; where no table stands, FINISH alone.
+    `choices` returns the actions that may be chosen; without a table that is FINISH alone.
     """
     of_action = (table_features if there.robots is None else team_features)(there, grasp)
     is_possible = spread(choices(there), at, action.shape)
@@ -62,7 +62,7 @@ def encoded_at(
 
 
 def states_alone(logs: Logs, horizon: int) -> TableState:
-    """Rebuild S_t of every stage of a log of one robot, axes (n, T), as one that works alone.
+    """Rebuild S_t of every stage of a log of one robot, axes (n, T), as states of a single robot.
 
     Raises
     ------
@@ -81,28 +81,28 @@ def states_alone(logs: Logs, horizon: int) -> TableState:
 def team_states(logs: Logs, horizon: int, num_robots: int | None = None) -> TableState:
     """Rebuild S_t of every stage of a log of several robots, axes (n, T).
 
-    `horizon` is T, the decisions of all robots together; the log must have `num_robots`, None for any.
+    `horizon` is T, the decisions of all robots together. The log must have `num_robots` robots, None for any number.
 
     Raises
     ------
     LogError
-        It is of another number of robots, or breaks a rule of tables or of robots.
+        The log has another number of robots, or breaks a rule of tables or of robots.
     """
     check_team(logs, num_robots)
     return states_of(logs, horizon)
 
 
 def check_team(logs: Logs, num_robots: int | None = None) -> None:
-    """Refuse the log of one robot, and that of another number of robots.
+    """Check that a log is of a team with the given number of robots.
 
     Raises
     ------
     LogError
-        As above.
+        The log is of one robot, or of another number of robots.
     """
     found = robots_in(logs)
     if not found:
-        # It says which of the columns of robots are missing.
+        # This reports the missing columns of robots.
         checked_tables(logs, is_team=True)
     if num_robots not in (None, found):
         raise LogError(
@@ -113,12 +113,12 @@ def check_team(logs: Logs, num_robots: int | None = None) -> None:
 def logged_actions(logs: Logs, horizon: int, num_objects: int, *, is_team: bool = False) -> Int[np.ndarray, "n T"]:
     """Action number of every stage; FINISH where the log has no stage, or no action.
 
-    Where `is_team`, several robots decided, who WAIT as well.
+    `is_team` is True for several robots, which may also WAIT.
 
     Raises
     ------
     LogError
-        An action is none that a table, or a team, knows.
+        An action is unknown to a table, or to a team.
     """
     stages, known = logs.stages, VERB_NAMES[: None if is_team else -1]
     verb = pd.Index(known).get_indexer(stages["action"])
@@ -144,20 +144,20 @@ def _in_words(is_team: bool) -> str:
 
 
 def table_covariates(logs: Logs, columns: Sequence[str]) -> pd.DataFrame:
-    """What cuts may depend on at a table; one row a stage.
+    """Covariates of cuts at a table, one row for each stage.
 
     Parameters
     ----------
     logs
         A log of tables.
     columns
-        Among `TABLE_COVARIATES`: ``num_objects`` and ``mean_occlusion`` are of what stands on the table, ``action`` is
-        the verb, and ``target_occlusion`` the occlusion of the object that it is applied to, 0 if none.
+        Among `TABLE_COVARIATES`: ``num_objects`` and ``mean_occlusion`` of the objects on the table, ``action`` the
+        verb, and ``target_occlusion`` the occlusion of its target, 0 if none.
 
     Raises
     ------
     ArgumentError
-        A column is none of these.
+        A column is not among these.
     """
     unknown = [name for name in columns if name not in TABLE_COVARIATES]
     if unknown:
@@ -178,7 +178,7 @@ def table_covariates(logs: Logs, columns: Sequence[str]) -> pd.DataFrame:
 
 
 def layouts_of(states: TableState) -> Layout:
-    """Tables that trajectories began with, of states with axes (n, T)."""
+    """Initial tables of the trajectories, from states with axes (n, T)."""
     workspace = states.workspace
     if workspace is not None:
         workspace = type(workspace)(workspace.is_in_reach[:, 0], workspace.is_near[:, 0])

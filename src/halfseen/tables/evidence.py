@@ -1,19 +1,18 @@
-"""What the log of a table tells of its laws: attempts, as far as each was watched, and what each look said.
+"""Evidence on the laws in the log of a table: attempts with the time that each was watched, and labels of each look.
 
-What all fits of laws maximise is the log-likelihood of that plus the log-density of a weak normal prior, which weighs
-as much as a few observations do.
+All fits of laws maximise the log-likelihood of this evidence plus the log-density of a weak normal prior, which weighs
+as much as a few observations.
 
 Where several robots act at once:
 
-*Looks.* What another robot holds in the air hides nothing and is seen whole, and no log says since when it is held. So
-labels count only where nobody was at an object when they were made, and where the stage brought one look: in a stage
-in which a robot came to its end, which frees nobody, there were two. Which looks those are does not depend on what they
-said.
+*Looks.* An object that another robot holds up hides nothing and is fully visible, and no log records since when it is
+held. So labels count only if no robot was at an object when they were made, and if the stage brought a single look. A
+stage in which a robot finished, which frees no robot, has two. This selection does not depend on the labels.
 
-*Washing.* The reward of a stage holds what all robots did in it. Failures, LIFTs and seconds have known prices, so that
-what is left over, where one object left the table, shows whether it was dirty. The last stage of a trajectory tells
-nothing, as its reward holds the price of what is left, too; nor does one in which a robot was at the last of its
-decisions, as nobody wrote down when that ended.
+*Washing.* The reward of a stage is the sum over all robots. Failures, LIFTs and seconds have known prices, so where one
+object left the table the remaining reward shows whether it was dirty. The last stage of a trajectory is not used,
+because its reward includes the price of the objects left. Nor is a stage in which a robot was at its last decision,
+because the end of that is not recorded.
 """
 
 from collections.abc import Callable
@@ -39,7 +38,7 @@ from halfseen.world.state import TableState
 
 
 def is_plain_look(states: TableState) -> Bool[np.ndarray, "n T"]:
-    """Whether the look before each stage was one, and nobody was at an object then."""
+    """Whether there was a single look before each stage, with no robot at an object."""
     robots = states.robots
     assert robots is not None
     is_nobody_at_work = ~np.any(robots.is_busy & np.isin(robots.verb, (1, 2)), axis=-1)
@@ -49,24 +48,24 @@ def is_plain_look(states: TableState) -> Bool[np.ndarray, "n T"]:
 
 @record
 class Brought:
-    """What the stages of a team's log brought."""
+    """Outcomes of the stages of a team's log."""
 
     outcome: Float[np.ndarray, "n T 6"]
-    """As `outcomes_of` has them."""
+    """As in `outcomes_of`."""
     reward: Float[np.ndarray, "n T"]
     """NaN where not completed."""
     goes_on: Bool[np.ndarray, "n T"]
-    """Completed stages that another one follows, in which no robot is at the last of its decisions."""
+    """Completed stages that another one follows, in which no robot is at its last decision."""
     is_last: Bool[np.ndarray, "n T"]
-    """Completed stages after which the trajectory had come to its end, or was cut at once."""
+    """Completed stages after which the trajectory ended by itself, or was cut at once."""
     is_finish: Bool[np.ndarray, "n T"]
-    """Stages that a FINISH began."""
+    """Stages that began with a FINISH."""
     has_left: Bool[np.ndarray, "n T N"]
-    """Which objects left the table; of no meaning where the trajectory does not go on."""
+    """Which objects left the table; meaningless where the trajectory does not continue."""
 
 
 def brought_by(logs: Logs, states: TableState) -> Brought:
-    """Read what each stage brought."""
+    """Read the outcomes of each stage."""
     at, (num, horizon) = stage_places(logs), states.steps_to_go.shape
     action, space = logged_actions(logs, horizon, states.num_objects, is_team=True), ActionSpace(states.num_objects)
     columns = (logs.stages[name].to_numpy(dtype=np.float64, na_value=np.nan) for name in ("reward", "elapsed_s"))
@@ -89,13 +88,13 @@ def brought_by(logs: Logs, states: TableState) -> Brought:
 
 
 def beside_prices(brought: Brought, config: WorldConfig) -> Float[np.ndarray, "n T"]:
-    """What each stage paid beside failures, LIFTs and seconds."""
+    """Reward of each stage without those of failures, LIFTs and seconds."""
     prices = (config.reward_wash_failed, config.reward_lift_per_s, config.reward_per_s)
     return brought.reward - brought.outcome[..., : LASTED_S + 1] @ np.array(prices, dtype=np.float64)
 
 
 def shown_by_washing(brought: Brought, config: WorldConfig) -> Bool[np.ndarray, "2 n N"]:
-    """Which objects washing showed to be dirty, and which clean."""
+    """Objects that washing showed to be dirty, and to be clean."""
     is_one = brought.goes_on & (brought.outcome[..., NUM_LEFT] == 1)
     paid = np.where(is_one, beside_prices(brought, config), np.nan)
     is_clean = np.abs(paid - config.reward_wash_dirty) >= np.abs(paid - config.reward_wash_clean)
@@ -104,86 +103,86 @@ def shown_by_washing(brought: Brought, config: WorldConfig) -> Bool[np.ndarray, 
 
 
 AT_LIMIT = 0.98
-"""An attempt that lasted this share of its limit is at the limit: clocks are rounded."""
+"""An attempt that lasted this share of its limit counts as at the limit, because clocks are rounded."""
 NO_NEWS = 1e-4
-"""Log-odds that move by less did not: what is left is rounding."""
+"""Smaller changes of log-odds are rounding errors."""
 
 
 class Watched(NamedTuple):
-    """Attempts, each as far as it was watched; n of them."""
+    """Attempts with the time that each was watched, n rows."""
 
     trajectory: RowIds
-    """Rank of its trajectory in the log."""
+    """Rank of the trajectory in the log."""
     object: RowIds
-    """Number of the object; none stands in two trajectories."""
+    """Number of the object, unique across trajectories."""
     occlusion: Rows
-    """Hidden share when it began, in [0, 1]."""
+    """Hidden share when the attempt began, in [0, 1]."""
     grip: Rows
     watched_s: Rows
-    """Time for which it was watched, without transport: until it held, missed or was cut; at most the limit [s]."""
+    """Time watched, without transport: until the attempt held, missed or was cut; at most the limit [s]."""
     is_held: RowMask
     is_missed: RowMask
-    """Whether it was seen to miss; what neither held nor missed was cut."""
+    """Whether the miss was observed; an attempt that neither held nor missed was cut."""
 
 
 class Labels(NamedTuple):
-    """Labels that were news; n of them."""
+    """Labels that were news, n rows."""
 
     trajectory: RowIds
-    """Rank of its trajectory in the log."""
+    """Rank of the trajectory in the log."""
     object: RowIds
-    """Number of the object; none stands in two trajectories."""
+    """Number of the object, unique across trajectories."""
     occlusion: Rows
-    """Hidden share in the look that it comes from; 0 of what is held up."""
+    """Hidden share in the look; 0 for an object held up."""
     is_held: RowMask
     seen: Rows
-    """Share of its surface that the recorder counted as seen before it; 0 in a log that counts none."""
+    """Share of the surface that the recorder counted as seen before; 0 if the log counts none."""
     seen_after: Rows
-    """The same after it."""
+    """The same after the label."""
     says_dirty: RowMask
     was_dirty: RowMask
     was_clean: RowMask
-    """Whether it showed that it was clean; of what was never washed nothing was shown."""
+    """Whether washing showed the object to be clean; both are False for one never washed."""
     moved: Rows
-    """By how much the recorder let the log-odds move."""
+    """Change of the recorded log-odds."""
 
     @property
     def is_persistent(self) -> bool:
-        """Whether the recorder counted what was seen, and took a look that shows nothing else for no news."""
+        """Whether the recorder counted seen shares, and ignored looks that show nothing new."""
         return bool(self.seen_after.any())
 
 
 def of_first(rows: Any, num_trajectories: int) -> Any:
-    """Keep what the first trajectories tell, of `Watched` or `Labels`."""
+    """Keep the rows of the first trajectories, of `Watched` or `Labels`."""
     kept = rows.trajectory < num_trajectories
     return type(rows)(*(values[kept] for values in rows))
 
 
 class Evidence(NamedTuple):
-    """What a log tells of the laws."""
+    """Evidence of a log on the laws."""
 
     tried: Watched
     labels: Labels
     dirty_share: float
-    """P(DIRTY) of an object before any label, which the log-odds started from."""
+    """P(DIRTY) of an object before any label, the prior of the log-odds."""
 
     def first(self, num_trajectories: int) -> "Evidence":
-        """Keep what the first trajectories tell; the share of dirty objects is the recorder's."""
+        """Keep the evidence of the first trajectories; the share of dirty objects stays the recorder's."""
         return self._replace(
             tried=of_first(self.tried, num_trajectories), labels=of_first(self.labels, num_trajectories)
         )
 
 
 def evidence_of(logs: Logs, known: WorldConfig) -> Evidence:
-    """Read a log, once for all numbers of its trajectories.
+    """Read the evidence from a log.
 
-    The log may be of one robot or several; where its objects have a column grip, it is used. Of `known`, the
+    The log may be of one robot or several; a column grip of its objects is used if there is one. Of `known`, the
     horizon, transport_s, speed, the limit of an attempt and the rewards are used.
 
     Raises
     ------
     LogError
-        As `states_of` and `attempts` do.
+        As in `states_of` and `attempts`.
     """
     dirty_share, tried = logged_dirty_share(logs), attempts(logs, known.horizon)
     trajectory = pd.Index(logs.trajectory_ids).get_indexer(tried["trajectory"]).astype(np.int64)
@@ -197,15 +196,15 @@ def evidence_of(logs: Logs, known: WorldConfig) -> Evidence:
 
 
 def _watched(tried: pd.DataFrame, trajectory: RowIds, is_held: RowMask, known: WorldConfig) -> Watched:
-    """All attempts, the cut ones included.
+    """All attempts, cut ones included.
 
-    An attempt comes before its transport. So one that was cut when its stage had lasted c seconds had not ended within
-    c − transport_s seconds, and where that is below 0 it tells nothing. A miss that lasted `AT_LIMIT` of the limit or
-    more is taken to have lasted the limit.
+    An attempt precedes its transport. So one cut c seconds into its stage had not ended within c − transport_s seconds,
+    and carries no information if that is below 0. A miss that lasted `AT_LIMIT` of the limit or more counts as having
+    lasted the limit.
     """
     occlusion, grip, time_s = (tried[name].to_numpy(dtype=np.float64) for name in ("occlusion", "grip", "time_s"))
     is_missed, limit_s = tried["is_finished"].to_numpy(dtype=bool) & ~is_held, float(known.grasping.limit_s)
-    # What takes a robot so long takes the world that, times its speed.
+    # The time of the world is the time of a robot times its speed.
     speed = np.asarray(known.speed, dtype=np.float64)[tried["robot"]] if "robot" in tried.columns else 1.0
     until_s = np.clip(time_s * speed - float(known.transport_s), 0.0, limit_s)
     watched_s = np.where(is_missed & (until_s >= AT_LIMIT * limit_s), limit_s, until_s)
@@ -213,12 +212,12 @@ def _watched(tried: pd.DataFrame, trajectory: RowIds, is_held: RowMask, known: W
 
 
 def _labels(logs: Logs, known: WorldConfig, dirty_share: float, held_trajectory: RowIds, held_row: RowIds) -> Labels:
-    """What every look said: DIRTY where it raised the log-odds, the other where it lowered them.
+    """Labels of every look: DIRTY where it raised the log-odds, clean where it lowered them.
 
-    By how much the recorder let them move is its own belief in its labels (`recorder`). A look that moved nothing
-    was no news, and is left out, unless it added to what counts as seen: then nothing was found in what it showed. The
-    reward of a WASH that held shows what the object was; one in the last step of the horizon is left out, as its reward
-    also holds the price of what is left. Of several robots, see `team_evidence`.
+    The size of the change is the recorder's confidence in its labels (`recorder`). A look that changed nothing was no
+    news and is left out, unless it added to the seen share: then it found nothing there. The reward of a successful
+    WASH shows whether the object was dirty; one in the last step of the horizon is left out, because its reward
+    includes the price of the objects left. For several robots, see the docstring of this module.
     """
     states = states_of(logs, known.num_stages)
     is_held = np.diff(states.lifts, axis=1, prepend=0) > 0
@@ -229,7 +228,7 @@ def _labels(logs: Logs, known: WorldConfig, dirty_share: float, held_trajectory:
         was = _shown(logs, known, held_trajectory, held_row, (len(states.lifts), states.num_objects))
     else:
         is_counted = is_plain_look(states)[..., None]
-        # What is washed depends on what looks said that are left out, so that it tells nothing of those objects.
+        # Washing depends on labels that are left out, so the dirt of those objects is treated as unknown.
         was = shown_by_washing(brought_by(logs, states), known) & ~np.any(is_news & ~is_counted, axis=1)
         is_news = is_news & is_counted
     trajectory, stage, target = at = np.nonzero(is_news)
@@ -251,7 +250,7 @@ def _labels(logs: Logs, known: WorldConfig, dirty_share: float, held_trajectory:
 def _shown(
     logs: Logs, known: WorldConfig, held_trajectory: RowIds, held_row: RowIds, shape: tuple[int, int]
 ) -> Bool[np.ndarray, "2 trajectories N"]:
-    """Which objects washing showed to be dirty, and which clean."""
+    """Objects that washing showed to be dirty, and to be clean."""
     was = np.zeros((2, *shape), dtype=bool)
     is_wash = (logs.stages["action"] == Verb.WASH.name).to_numpy(dtype=bool)[held_row]
     paid = logs.stages["reward"].to_numpy(dtype=np.float64, na_value=np.nan)[held_row]
@@ -261,16 +260,16 @@ def _shown(
 
 
 def _moved(states: TableState, dirty_share: float) -> Float[np.ndarray, "n T N"]:
-    """How far each look moved the log-odds; the first one that shows an object from the prior."""
+    """Change of the log-odds by each look; from the prior for the first look at an object."""
     prior = np.float32(np.log(dirty_share) - np.log1p(-dirty_share))
     log_odds = np.where(states.is_object, states.log_odds, prior)
     return np.diff(log_odds, axis=1, prepend=np.full_like(log_odds[:, :1], prior))
 
 
 def _occluded(states: TableState, is_held: Bool[np.ndarray, "n T N"]) -> Float[np.ndarray, "n T N"]:
-    """Hidden share of each object in the look before each stage; what was held up then hid nothing and was seen whole.
+    """Hidden share of each object in the look before each stage; an object held up hid nothing and was fully visible.
 
-    What was held up is the object whose lifts were counted since the stage before.
+    The object held up is the one whose count of lifts increased since the stage before.
     """
     is_hiding = (states.is_on_table & ~is_held)[:, :, None, :]
     hidden = 1.0 - np.prod(np.where(is_hiding, 1.0 - states.hides, 1.0), axis=-1)
@@ -278,20 +277,20 @@ def _occluded(states: TableState, is_held: Bool[np.ndarray, "n T N"]) -> Float[n
 
 
 class Prior(NamedTuple):
-    """Independent normal densities of the parameters θ."""
+    """Independent normal prior of the parameters θ."""
 
     mode: Float[np.ndarray, "*S"]
     spread: Float[np.ndarray, "*S"] | float
-    """Standard deviations."""
+    """Standard deviations of the densities."""
 
     def loss(self, theta: Any, log_likelihood: float, slope: Any) -> tuple[float, Any]:
-        """Negative log-posterior, but for a constant, and its gradient; `slope` is that of the log-likelihood."""
+        """Negative log-posterior up to a constant, and its gradient; `slope` is the gradient of the log-likelihood."""
         shift = (theta - self.mode) / self.spread
         return float((shift**2).sum() / 2.0 - log_likelihood), shift / self.spread - slope
 
 
 def least(loss: Callable[[Rows], tuple[float, Rows]], start: Rows, bounds: Any, **options: float) -> Rows:
-    """Search for the minimum of a loss that gives its gradient, by L-BFGS-B within pairs of bounds."""
+    """Minimise a loss that returns its gradient, by L-BFGS-B within pairs of bounds."""
     from scipy.optimize import minimize
 
     return minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x

@@ -1,26 +1,26 @@
-"""E: what the look one step ahead misses, learned from trajectories that are simulated in a known world.
+"""E: the error of the one-step look-ahead, learned from trajectories simulated in a known world.
 
 **One robot.** With Q_h = Q_1 + E_h, backwards over steps to go h from E_1 ≡ 0 (with one step to go Q_1 is exact),
 
     E_h(b, a)  ←  Q°(b, a) − Q_1(b, a) + E[Q_1(b', a') + E_{h−1}(b', a') − V°(b')],    a' = argmax Q_1(b', ·),
 
-for E[R + V°(b')] = Q°(b, a). So what is regressed are small differences, not rewards. E is linear in the features of
-`look_ahead`, with coefficients for each verb and h, kept within the range of what was fitted, and 0 for FINISH. The
-successor's action is that of Q_1, not the largest of Q_1 + E: one step of policy iteration, of which no error of E is
-maximised over. With maxima over a linear Q that was not anchored the values diverged.
+because E[R + V°(b')] = Q°(b, a). The regression targets are small differences, not rewards. E is linear in the features
+of `look_ahead`, with coefficients for each verb and h. It is clipped to the range of the fitted values, and is 0 for
+FINISH. The successor's action is the argmax of Q_1, not of Q_1 + E: one step of policy iteration, which does not
+maximise over errors of E. With maxima over a linear Q without this anchor the values diverged.
 
-Trajectories begin as those of the log did: its tables, before any label. At each belief a few actions are tried, drawn
-the likelier the more Q_1 promises; the best one is followed, or one of these.
+Trajectories begin as those of the log: with its tables, before any label. At each belief a few actions are tried, drawn
+with a probability that rises with Q_1. The best one is followed, or one of these.
 
-**A team.** For a state S with myopic action a*, and another action a, in futures of S in which all robots are myopic
-ever after,
+**A team.** For a state S with myopic action a* and another action a, in futures of S in which all robots act
+myopically from then on,
 
     E(S, a)  ←  (Σ R after a) − (Σ R after a*) − (Q(S, a) − Q(S, a*)),    Q that of the myopic look:
 
-eq. 3 with the myopic policy in the place of the maximum, run through to the end of each trajectory, so that no error
-of a later E is in an earlier one. Both meet the same hidden truth and the same draws: the noise of their difference is
-less than that of one stage and the value of what follows. States are those of trajectories on the log's tables, in
-which robots deviate from the myopic action now and then.
+This is eq. 3 with the myopic policy in place of the maximum, simulated to the end of each trajectory, so that errors of
+a later E do not enter an earlier one. Both futures share the hidden truth and the random draws, so their difference
+has less noise than one stage plus the value of its successor. States come from trajectories on the log's tables, in
+which robots sometimes deviate from the myopic action.
 """
 
 from dataclasses import replace
@@ -45,26 +45,26 @@ from halfseen.world.state import Layout, TableState
 from halfseen.world.transition import start
 
 NUM_TRIED = 4
-"""Actions that are tried at each belief, the best one among them."""
+"""Actions tried at each belief, including the best one."""
 RANDOM_SHARE = 0.3
-"""Probability that one of these is followed, and not the best one."""
+"""Probability that one of these is followed instead of the best one."""
 TEMPERATURE, LEAST = 1.0, -5.0
-"""Of the draw of what is tried: log-odds of an action by what it falls short of the best, at least `LEAST`."""
+"""Of the draw of tried actions: log-odds of an action are its shortfall from the best, at least `LEAST`."""
 TEAM_TEMPERATURE, TEAM_LEAST = 0.7, -3.0
 REG, TEAM_REG = 1e-2, 3e-2
-"""λ, of features of unit variance, or of unit mean square."""
+"""λ, for features of unit variance, or of unit mean square."""
 RANGE = (0.01, 0.99)
-"""Quantiles of what was fitted within which E is kept."""
+"""Quantiles of the fitted values to which E is clipped."""
 NUM_TRAJECTORIES, FEWEST_ROWS = 2000, 100
 NUM_STATES, NUM_FUTURES, STATES_A_TRAJECTORY = 5000, 2, 4.0
 LANES, TEAM_LANES = 512, 64
-"""Trajectories, or states, that advance together: their arrays stay in the cache of a core."""
+"""Trajectories, or states, advanced together: their arrays fit in the cache of a core."""
 
 
 def _ridge(
     features: Float[np.ndarray, "R F"], target: Float[np.ndarray, " R"], size: Float[np.ndarray, " F"], reg: float
 ) -> Float[np.ndarray, " F"]:
-    """Ridge regression without an offset, on features that are divided by their sizes."""
+    """Ridge regression without an offset, on features divided by their sizes."""
     scale = np.where(size > 1e-4, size, np.inf)
     unit = features / scale
     gram = unit.T @ unit / len(unit) + reg * np.eye(unit.shape[1])
@@ -72,7 +72,7 @@ def _ridge(
 
 
 class Tried(NamedTuple):
-    """Actions tried with h steps to go, and the best that may follow each; R rows."""
+    """Actions tried with h steps to go, and the best action after each; R rows."""
 
     verb: Int[np.ndarray, " R"]
     """0 for WASH, 1 for LIFT."""
@@ -80,14 +80,14 @@ class Tried(NamedTuple):
     beyond: Float[np.ndarray, " R"]
     """Q°(b, a) − Q_1(b, a) + Q_1(b', a') − V°(b')."""
     next_verb: Int[np.ndarray, " R"]
-    """−1 for FINISH, and where nothing is left."""
+    """−1 for FINISH, or where nothing is left."""
     next_features: Float[np.ndarray, "R F"]
 
 
 def fitted_excess(config: WorldConfig, layouts: Layout, seed: int, num_trajectories: int = NUM_TRAJECTORIES) -> Excess:
     """Simulate one robot in a known world, and fit E.
 
-    Trajectories begin with the layouts in turn.
+    Trajectories cycle through the layouts.
     """
     parts = [
         _simulated(config, layouts, np.arange(first, min(first + LANES, num_trajectories)), seed)
@@ -102,7 +102,7 @@ def fitted_excess(config: WorldConfig, layouts: Layout, seed: int, num_trajector
 
 
 def _fit_step(found: Excess, to_go: int, tried: Tried) -> None:
-    """Fit E with h steps to go to that with h − 1, in place."""
+    """Fit E with h steps to go, given E with h − 1, in place."""
     coefficients, low, high = (each[to_go - 2] for each in (found.coefficients, found.low, found.high))
     target = tried.beyond.astype(np.float64)
     for verb in range(2):
@@ -120,7 +120,7 @@ def _fit_step(found: Excess, to_go: int, tried: Tried) -> None:
 
 
 def _regressed(features: Float[np.ndarray, "R F"], target: Float[np.ndarray, " R"]) -> Float[np.ndarray, " F1"]:
-    """Ridge regression on features of unit variance; the offset, which is not shrunk, first."""
+    """Ridge regression on features of unit variance; the unpenalised offset comes first."""
     features = features.astype(np.float64)
     mean = features.mean(axis=0)
     slope = _ridge(features - mean, target - target.mean(), features.std(axis=0), REG)
@@ -128,7 +128,7 @@ def _regressed(features: Float[np.ndarray, "R F"], target: Float[np.ndarray, " R
 
 
 def _simulated(config: WorldConfig, layouts: Layout, trajectory: Int[np.ndarray, " R"], seed: int) -> dict[int, Tried]:
-    """Simulate some trajectories, by number: what was tried at each number of steps to go at which any is left."""
+    """Simulate trajectories, given by number: the tried actions by steps to go, while any trajectory is left."""
     rng, found = np.random.default_rng([seed, int(trajectory[0])]), {}
     layout = mapped(lambda leaf: leaf[trajectory % len(leaf)], layouts)
     state, _ = start(config, layout, random.fold_in(random.key_of(seed), trajectory))
@@ -140,7 +140,7 @@ def _simulated(config: WorldConfig, layouts: Layout, trajectory: Int[np.ndarray,
         num_lanes = tried.shape[1]
         is_explored = rng.random(num_lanes) < RANDOM_SHARE
         followed = is_explored * is_possible[1] * num_lanes + np.arange(num_lanes)
-        # Trajectories that end here are followed no more.
+        # Trajectories that end here are dropped.
         goes_on = ((ahead.one_step.max(axis=0) > 0.0) | is_explored) & after.table.is_there.any(axis=0)[followed]
         if not goes_on.any():
             break
@@ -149,7 +149,7 @@ def _simulated(config: WorldConfig, layouts: Layout, trajectory: Int[np.ndarray,
 
 
 def _to_try(ahead: Ahead, rng: np.random.Generator) -> tuple[Int[np.ndarray, "M R"], Bool[np.ndarray, "M R"]]:
-    """The best action by Q_1 but FINISH, others drawn the likelier the more they promise; and which there are."""
+    """The best action by Q_1 other than FINISH, others drawn by Q_1; and which of these are possible."""
     q = ahead.one_step
     best = q.argmax(axis=0)
     short = (q - q.max(axis=0)) / TEMPERATURE
@@ -160,7 +160,7 @@ def _to_try(ahead: Ahead, rng: np.random.Generator) -> tuple[Int[np.ndarray, "M 
 
 
 def after_each(config: WorldConfig, ahead: Ahead, tried: Int[np.ndarray, "M R"], rng: np.random.Generator) -> Table:
-    """What is believed after each action that is tried."""
+    """Belief after each tried action."""
     lanes = np.tile(np.arange(tried.shape[1]), len(tried))
     table, look = picked((ahead.table, ahead.look), lanes)
     draws = rng.random((1 + len(table.is_there), len(lanes)), dtype=np.float32)
@@ -168,7 +168,7 @@ def after_each(config: WorldConfig, ahead: Ahead, tried: Int[np.ndarray, "M R"],
 
 
 def rows_of(ahead: Ahead, tried: Int[np.ndarray, "M R"], is_possible: Bool[np.ndarray, "M R"], after: Ahead) -> Tried:
-    """Rows of what was tried, where it is possible, by what was believed after it."""
+    """Rows of the tried actions that are possible, from the belief after each."""
     reached = np.flatnonzero(is_possible)
     choice, lanes = tried.ravel()[reached], reached % tried.shape[1]
     one_step, control = ahead.values[:, choice, lanes]
@@ -185,7 +185,7 @@ def rows_of(ahead: Ahead, tried: Int[np.ndarray, "M R"], is_possible: Bool[np.nd
 
 
 def features_of(ahead: Ahead, choice: Int[np.ndarray, " R"], lanes: Int[np.ndarray, " R"]) -> Float[np.ndarray, "R F"]:
-    """Features of an action at some of the beliefs."""
+    """Features of one action at each of some beliefs."""
     own = ahead.own.reshape(len(ahead.own), -1, ahead.own.shape[-1])[:, choice, lanes]
     return np.concatenate([ahead.of_table[:, lanes], own]).T
 
@@ -207,7 +207,7 @@ def fitted_team_excess(config: WorldConfig, layouts: Layout, seed: int) -> TeamE
 
 
 class _Deviating:
-    """Takes the myopic action, or one that is tried beside it."""
+    """Takes the myopic action, or an alternative that is tried."""
 
     def __init__(self, config: WorldConfig) -> None:
         self.num_robots = config.num_robots
@@ -225,7 +225,7 @@ class _Deviating:
 
 
 def drawn(q: Float[np.ndarray, "B A"], key: Key) -> tuple[Bool[np.ndarray, "B A"], np.ndarray]:
-    """Which actions are tried: the best by Q, and others, the likelier the more they promise; and all in that order."""
+    """Mask of the tried actions: the best by Q, and others drawn with odds that rise with Q; and all in that order."""
     share = random.uniform(key, q.shape[-1]).astype(np.float64)
     gumbel = -np.log(-np.log(np.clip(share, 1e-12, 1.0 - 1e-7)))
     with np.errstate(invalid="ignore"):
@@ -239,7 +239,7 @@ def drawn(q: Float[np.ndarray, "B A"], key: Key) -> tuple[Bool[np.ndarray, "B A"
 
 
 def visited(config: WorldConfig, layouts: Layout, seed: int, num_states: int) -> TableState:
-    """States of trajectories on some tables, drawn at random; one axis."""
+    """States drawn at random from trajectories on some tables; one axis."""
     num = max(1, int(np.ceil(num_states / STATES_A_TRAJECTORY)))
     played = play(config, layouts, _Deviating(config), random.fold_in(random.key_of(seed), 1), num)
     at = np.nonzero(played.is_taken)
@@ -250,10 +250,10 @@ def visited(config: WorldConfig, layouts: Layout, seed: int, num_states: int) ->
 def team_simulated(
     config: WorldConfig, state: TableState, key: Key, num_futures: int
 ) -> tuple[Float[np.ndarray, "R F"], Float[np.ndarray, " R"]]:
-    """Try actions beside the myopic one in some states; R rows.
+    """Try alternatives to the myopic action in some states; R rows.
 
-    Told are the features of each less those of the myopic one, and by how much it did better than the myopic look says,
-    in the mean of the futures.
+    Returns the features of each minus those of the myopic action, and the error of the myopic look in their difference,
+    averaged over the futures.
     """
     future_key, try_key = random.split(key)
     base = MyopicPolicy(config)
@@ -271,5 +271,5 @@ def team_simulated(
 
 
 def counting_time(config: WorldConfig, unpriced_per_s: float) -> WorldConfig:
-    """The same team, in which a second of the table's clock costs so much where it costs nothing [1/s]."""
+    """The same team; a second of the table's clock costs `unpriced_per_s` if it cost nothing [1/s]."""
     return config if config.reward_per_s else replace(config, reward_per_s=-unpriced_per_s)

@@ -1,8 +1,8 @@
-"""Why an action at a table, in clauses that a person can check by looking.
+"""The reason for an action at a table, in clauses that a person can check by looking.
 
-A LIFT is told by what it would reveal, a WASH by how sure it is that it is right, and what it costs if it
-is wrong. Where no look has told anything of an object yet, P(DIRTY) is the prior, which is no evidence: that is said
-instead.
+A LIFT is explained by what it would reveal; a WASH by P(DIRTY) of its target, and by its cost if the object is clean.
+Before the first label of an object, P(DIRTY) is the prior, which is no evidence: the explanation then says that nothing
+is known.
 """
 
 from collections.abc import Sequence
@@ -20,12 +20,12 @@ from halfseen.world.actions import FINISH, ActionSpace, Verb
 from halfseen.world.state import TableState
 
 _HIDES = 0.1
-"""Share of another object from which on an object counts as hiding it."""
+"""Share of another object that an object must hide to be mentioned."""
 _SURE = 0.9
-"""P(DIRTY) from which on nobody asks what a wrong WASH costs."""
+"""P(DIRTY) from which the cost of a wrong WASH is not mentioned."""
 _SAME_LOG_ODDS = 1e-5
 _MOST_TOLD = 2
-"""Objects behind another that are told of one by one."""
+"""Most objects behind another that are described one by one."""
 _HIDDEN = ((_HIDES, ""), (0.35, "partly hidden"), (0.65, "half hidden"), (np.inf, "mostly hidden"))
 _DIRTY = (
     (0.1, "almost surely clean"),
@@ -40,24 +40,24 @@ _DIRTY = (
 
 @dataclass(frozen=True, eq=False)
 class TableExplanation:
-    """What there is to be said of one table.
+    """The facts about one table that explain an action.
 
     Parameters
     ----------
     is_there
-        What is on the table; at least one object.
+        Whether each object is on the table; at least one is.
     hides
         ``hides[i, j]`` is the share of object i that object j alone hides now.
     is_dirty
-        P(DIRTY) of each.
+        P(DIRTY) of each object.
     is_labelled
-        Whether a look has told anything of it.
+        Whether a look has labelled it.
     unseen
-        Share of its surface that no label has told of; NaN where that is not counted.
+        Share of its surface that no label covers; NaN where that is not counted.
     failures
-        How often it slipped.
+        Number of failed attempts.
     worst_wash
-        Least that a WASH pays [reward]; None if nobody knows.
+        Smallest reward of a WASH [reward]; None if unknown.
     """
 
     is_there: Bool[np.ndarray, " N"]
@@ -72,10 +72,10 @@ class TableExplanation:
     def of(
         cls, state: TableState, dirty_share: float | None = None, worst_wash: float | None = None
     ) -> "TableExplanation":
-        """Read them off a state.
+        """Derive the facts from a state.
 
-        `dirty_share` is P(DIRTY) of an object before any label; None if nobody knows it, and then all counts as
-        told. `worst_wash` is the least that a WASH pays [reward].
+        `dirty_share` is P(DIRTY) of an object before any label; if None, every object counts as labelled. `worst_wash`
+        is the smallest reward of a WASH [reward].
         """
         is_there, log_odds = np.asarray(state.is_on_table), np.asarray(state.log_odds, dtype=np.float64)
         seen = np.asarray(state.seen, dtype=np.float64)
@@ -100,11 +100,11 @@ class TableExplanation:
         return 1.0 - np.prod(1.0 - self.hides, axis=1)
 
     def hidden_by(self, target: int) -> list[int]:
-        """Objects on the table that one hides enough to be told of."""
+        """Objects on the table that `target` hides enough to be mentioned."""
         return np.flatnonzero(self.is_there & (self.hides[:, target] >= _HIDES)).tolist()
 
     def looks(self, index: int) -> list[str]:
-        """How an object looks: how much of it is hidden, and how dirty."""
+        """Describe an object: its hidden share, and P(DIRTY)."""
         share = float(self.occlusion[index])
         word = _word(_HIDDEN, share)
         hidden = f"{word} ({share:.2f})" if word else "in plain sight"
@@ -113,14 +113,14 @@ class TableExplanation:
         return [f"{hidden} and {_word(_DIRTY, self.is_dirty[index])} ({self.is_dirty[index]:.2f})"]
 
     def known_as(self, index: int) -> str:
-        """How dirty an object looks, in brackets."""
+        """P(DIRTY) of an object in words, in brackets."""
         if not self.is_labelled[index]:
             return " (nothing is known of it yet)"
         return f" ({_word(_DIRTY, self.is_dirty[index])}, {self.is_dirty[index]:.2f})"
 
 
 def action_reason(explanation: TableExplanation, action: int) -> str:
-    """Say what there is to be said of an action.
+    """Explain an action.
 
     Examples
     --------
@@ -143,7 +143,7 @@ def action_reason(explanation: TableExplanation, action: int) -> str:
 
 
 def _revealed(explanation: TableExplanation, target: int) -> str:
-    """What a LIFT would show: the rest of the object itself, and what stands behind it."""
+    """Say what a LIFT would reveal: the rest of the object itself, and the objects behind it."""
     occluded, unseen = float(explanation.occlusion[target]), float(explanation.unseen[target])
     behind = sorted(explanation.hidden_by(target), key=lambda k: -explanation.hides[k, target])
     shown = behind[:_MOST_TOLD]
@@ -164,7 +164,7 @@ def _revealed(explanation: TableExplanation, target: int) -> str:
 
 
 def _described(explanation: TableExplanation, target: int, verb: int) -> str:
-    """How it looks, and whom it hides; of a WASH, what it costs if it is not dirty."""
+    """Describe the target and the objects that it hides; for a WASH, also its cost if the target is clean."""
     clauses, hidden = explanation.looks(target), explanation.hidden_by(target)
     if hidden:
         clauses.append(f"it hides {_listed(hidden)}")
@@ -174,7 +174,7 @@ def _described(explanation: TableExplanation, target: int, verb: int) -> str:
 
 
 def _left(explanation: TableExplanation) -> str:
-    """What a FINISH would leave."""
+    """Describe the objects that a FINISH would leave."""
     labelled = [int(k) for k in np.flatnonzero(explanation.is_there & explanation.is_labelled)]
     count = int(explanation.is_there.sum())
     if not labelled:
@@ -194,7 +194,7 @@ def _listed(parts: Sequence[Any], last_with: str = " and ") -> str:
 
 
 def implied(policy: LawPolicy, state: TableState, action: int) -> str:
-    """Say what the laws of a policy's log imply for an action.
+    """Describe what the laws of a policy's log imply for an action.
 
     Examples
     --------

@@ -1,62 +1,63 @@
-"""What a linear Q looks at on a table: a few numbers for each verb, whatever the number of objects.
+"""Features of a table for a linear Q: a few numbers for each verb, whatever the number of objects.
 
-Every feature is a sum over the objects on the table, or the largest of them, or concerns the target alone, so it
-depends neither on N nor on the order of the objects, and none uses a parameter of the world.
+Every feature is a sum or a maximum over the objects on the table, or concerns the target alone. So it depends neither
+on N nor on the order of the objects. No feature uses a parameter of the world.
 
-The first eleven features describe the table and mean the same for every verb:
+The first eleven features describe the table and are shared by all verbs:
 
 ===========================  =========================================================================================
-Σ p                          dirty objects expected on the table, p = P(DIRTY)
+Σ p                          expected number of dirty objects on the table, p = P(DIRTY)
 Σ 1                          objects on the table
-Σ win, Σ sure                how much there is to win, win = (p − ½)₊, and to win almost surely, sure = (p − ¾)₊
-Σ win·ease, Σ sure·ease      how much of it is within reach
-Σ doubt, Σ doubt·ease        how much is not known, doubt = 4 p (1 − p), and how much of that is within reach
-Σ ease                       how much is within reach
-Σ soon                       how much of what there is to win after one more look is within reach
-idle = exp(−8 · max soon)    1 where no object is worth another step, and soon 0 where one is
+Σ win, Σ sure                possible gain, win = (p − ½)₊, and nearly certain gain, sure = (p − ¾)₊
+Σ win·ease, Σ sure·ease      the part of each that can be grasped
+Σ doubt, Σ doubt·ease        uncertainty, doubt = 4 p (1 − p), and the part of it that can be grasped
+Σ ease                       number of objects that can be grasped
+Σ soon                       possible gain after one more look, the part that can be grasped
+idle = exp(−8 · max soon)    1 where no object is worth another step; falls quickly towards 0 where one is
 ===========================  =========================================================================================
 
-with ease = (1 − occlusion) · (1 + successes) / (1 + attempts) · likelier: the share in sight, times the rule of
-succession for a grip, times what shows of the grip. Of that, likelier = 4 / (3 + e⁻ᵍ), with g the mean of the grip
-offset, is the probability that odds of three to one become by g, over what it was. Or, given a grasp model, ease is
-the probability that it gives to a grasp.
+with ease = (1 − occlusion) · (1 + successes) / (1 + attempts) · likelier: the visible share, times the rule of
+succession for a grip, times the effect of the visible grip. Here likelier = 4 / (3 + e⁻ᵍ), with g the mean of the grip
+offset: g is added to the log-odds of a probability of ¾, and likelier is the ratio of the result to ¾. With a grasp
+model, ease is the probability that the model gives a grasp.
 
-One more look at an object that shows the share v for the first time leaves win(v) = ½ (p − ½ + v/4)₊ + ½ (p − ½ − v/4)₊
-to be won on average, were its label right with probability ½ + v/4, and soon = ease · win(v). While no surface counts
-as seen, every look is news, and v = 1 − occlusion. Where some does, errors persist, and the last look was taken from
-here: v = 0, and only an object that is held up shows what was not seen of it, v = unseen = 1 − seen.
+One more look at an object that shows the share v for the first time leaves an average possible gain of
+win(v) = ½ (p − ½ + v/4)₊ + ½ (p − ½ − v/4)₊ if its label is right with probability ½ + v/4, and soon = ease · win(v).
+While no surface counts as seen, every look is news, and v = 1 − occlusion. Otherwise label errors persist, and the last
+look was taken from here. Then v = 0, and only an object that is held up shows its unseen share, v = unseen = 1 − seen.
 
-What follows concerns the target; `laid bare` is what it would show if it were grasped: ease · Σ_j (occlusion of j that
-target i alone causes) · (…), the doubt of j times unseen; and LIFT gains ease · (ease · win(unseen) − soon) by the
-better look, and looks at the target's doubt times unseen. FINISH looks at Σ p alone.
+The other features concern the target. `laid bare` is what a grasp of it would reveal: ease · Σ_j (occlusion of j that
+target i alone causes) · (win of j, or its doubt times unseen). LIFT has ease · (ease · win(unseen) − soon), its gain by
+the better look, and the target's doubt times unseen. FINISH uses Σ p alone.
 
-What differs between targets decides between them. So the largest `soon` stands in a feature of the table, the same for
-all: the largest of the *others* tells as much of the table, but is least for the best target, and turned Q against it.
+Features that differ between targets decide between them. So the largest `soon` is a feature of the table, the same for
+all targets. The largest among the *others* describes the table as well, but is smallest for the best target, and biased
+Q against it.
 
-**Of a team**, when one robot decides. One set of coefficients serves all verbs: what the team can do with a table is
-worth the same, whatever one robot does meanwhile, and so is an attempt that is under way, whichever robot makes it. The
-features describe what follows the action:
+**Teams**, for the deciding robot. One set of coefficients serves all verbs: the team's prospects on a table are worth
+the same whatever one robot does meanwhile, and so is an attempt under way, whichever robot makes it. The features
+describe the table after the action:
 
 =====================================  ================================================================================
-WASHes under way                       their number, and the numbers of their targets on one robot's table
-                                       (`tables.features`), summed over all robots
+WASHes under way                       their number, and the features of their targets on one robot's table, summed over
+                                       all robots
 LIFTs under way                        the same
-what the team can clear                the sums of one robot's table, over what a robot reaches that goes on, and idle;
-                                       after FINISH, without the robot that decides
-who reaches it                         win·ease and soon, summed: over what this robot alone reaches, and over what only
-                                       others reach
-what the others are at                 how many are at work, for how long in all [s], and how many go on
-of WASH, and of LIFT                   win·ease and soon of the target, where another that goes on reaches it, too
-of WAIT                                1; what the others are at; the largest win·ease and soon of what it could begin
-                                       with now, and of what it reaches but others are in the way of
-of FINISH                              1 where another goes on, and how many are at work
+what the team can clear                the sums of one robot's table over objects in reach of a robot that continues,
+                                       and idle; after FINISH, without the deciding robot
+reach                                  win·ease and soon, summed over objects that this robot alone reaches, and over
+                                       those that only others reach
+activity of the others                 how many are at work, for how long in all [s], and how many continue
+of WASH, and of LIFT                   win·ease and soon of the target, where another robot that continues reaches it
+of WAIT                                1; activity of the others; the largest win·ease and soon of the objects that it
+                                       could begin with now, and of those in reach that others block
+of FINISH                              1 where another robot continues, and how many are at work
 how long it will take                  the bound of `halfseen.world.actions`
 =====================================  ================================================================================
 
-Where robots differ in how they grasp (`GraspByRobot`), what is about one object goes by the robot that is at it, or
-decides; what the team can clear is the same, whichever robot decides.
+Where robots grasp differently (`GraspByRobot`), features of one object use the model of the robot that is at it, or of
+the one that decides; what the team can clear is the same, whichever robot decides.
 
-Where no other robot goes on, all that FINISH looks at is 0, and Q is measured from leaving the table (`rewards`).
+Where no other robot continues, all features of FINISH are 0, and Q is relative to leaving the table (`rewards`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -73,44 +74,44 @@ from halfseen.world.policy import GraspModel
 from halfseen.world.state import TableState, attempt_counts
 
 FEATURES_VERSION = 1
-"""Coefficients mean nothing beside other features: raise this number whenever a feature changes."""
+"""Coefficients are valid only for their own features: increase this number whenever a feature changes."""
 NUM_FEATURES = 22
 NUM_TABLE_FEATURES = 11
 WASH_DIRTY, WASH_EASE = NUM_TABLE_FEATURES + 2, NUM_TABLE_FEATURES + 4
-"""Where the features of WASH hold P(DIRTY) and the ease of the target."""
+"""Columns of WASH that hold P(DIRTY) and the ease of the target."""
 LEAST_IN_SIGHT = 1e-6
-"""Share that one object leaves of another's silhouette at least: what is in sight without it follows by division."""
+"""Least share of a silhouette that one object leaves visible: the share visible without it follows by division."""
 LIKELY_ODDS = 3.0
-"""Odds that a grasp holds at which the mean of a grip offset counts: the rule of succession starts from certainty."""
+"""Odds of a grasp to which the mean grip offset is applied: the rule of succession starts from certainty."""
 ROUNDING = 1e-6
-"""Differences of float32 numbers below this are 0."""
+"""float32 differences below this count as 0."""
 
 
 class Columns(NamedTuple):
-    """What the features are made of, one number an object."""
+    """Terms of the features, one number for each object."""
 
     is_there: Bool[Array, "*B N"]
     table: list[Float[Array, "*B N"]]
-    """To be summed over the objects on the table."""
+    """Terms to sum over the objects on the table."""
     idle: Float[Array, "*B"]
-    """What follows the sums."""
+    """The feature after the sums."""
     of_verb: Mapping[Verb, list[Float[Array, "*B N"]]]
-    """Of each object as a target of the verb."""
+    """Terms of each object as a target of the verb."""
 
     def of_table(self) -> Float[Array, "*B 11"]:
-        """Describe the table: the sums, and what follows them."""
+        """Features of the table: the sums, and idle."""
         xp, each = library_of(self.idle), stacked_columns(self.table)
         sums = xp.sum(xp.where(self.is_there[..., None, :], each, np.float32(0.0)), axis=-1)
         return xp.concatenate([sums, self.idle[..., None]], axis=-1)
 
 
 def stacked_columns(values: Sequence[Float[Array, "*B N"]]) -> Float[Array, "*B f N"]:
-    """Stack what is known of each object."""
+    """Stack the columns of the objects."""
     return library_of(*values).stack(values, axis=-2)
 
 
 def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns:
-    """Find what the features of tables are made of."""
+    """Compute the terms of the features of tables."""
     xp, is_dirty = library_of(state.log_odds), expit(state.log_odds)
     win, sure = _above(is_dirty, 0.5), _above(is_dirty, 0.75)
     doubt, unseen = 4.0 * is_dirty * (1.0 - is_dirty), 1.0 - state.seen
@@ -124,7 +125,7 @@ def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns
     in_doubt, left_to_see = ([part, ease, part * ease] for part in (doubt, doubt * unseen))
     at_stake = [win, win * ease, sure, sure * ease]
     washed = [laid_bare_win, laid_bare_doubt, is_dirty, is_dirty * ease, ease, *at_stake, soon, soon * ease]
-    # Rounding is no variance: where nothing else varies, a regression would scale it up.
+    # Rounding errors are set to 0: a regression would scale them up where nothing else varies.
     gained = xp.where(clearer > ROUNDING, clearer, np.float32(0.0))
     return Columns(
         is_there=state.is_on_table,
@@ -135,7 +136,7 @@ def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns
 
 
 def ease_of(state: TableState, grasp: GraspModel | None = None, in_sight: Any = None) -> Float[Array, "*B N"]:
-    """How likely a grasp of each object is, by a model; without one by the share in sight, found unless it is given."""
+    """P(a grasp holds) of each object by a model; without one, by the visible share, computed unless given."""
     if grasp is not None:
         return grasp.probability(state)
     in_sight = _sight(state)[0] if in_sight is None else in_sight
@@ -161,13 +162,13 @@ def table_features(state: TableState, grasp: GraspModel | None = None) -> Float[
 def table_q(
     coefficients: Float[Array, "*#B K F"], state: TableState, grasp: GraspModel | None = None
 ) -> Float[Array, "*B A"]:
-    """Q of every action of tables, with the offset first in `coefficients`: what `q_values` makes of the features.
+    """Q of every action of tables, equal to `q_values` of the features; the offset is first in `coefficients`.
 
-    The features are never put together, so that a decision takes a third of the time.
+    The features are never assembled, so that a decision takes a third of the time.
     """
     columns = table_columns(state, grasp)
     table = columns.of_table()[..., None]
-    # FINISH looks at the first alone.
+    # FINISH uses the first feature only.
     finish = coefficients[..., Verb.FINISH, 0] + coefficients[..., Verb.FINISH, 1] * table[..., 0, 0]
     each = {verb: _q_of_verb(coefficients[..., verb, :], table, values) for verb, values in columns.of_verb.items()}
     return ActionSpace(state.num_objects).join(finish, each)
@@ -192,13 +193,13 @@ def _win_after_look(is_dirty: Float[Array, "*B N"], shown: Float[Array, "*B N"])
 
 
 def succession(successes: Any, failures: Any, grip: Any) -> Any:
-    """Rule of succession for a grip, times what shows of it: P(held) of objects that are wholly in sight."""
+    """Rule of succession for a grip, times the effect of the visible grip: P(held) of fully visible objects."""
     likelier = (1.0 + LIKELY_ODDS) / (LIKELY_ODDS + library_of(grip).exp(-grip))
     return (1.0 + successes) / (1.0 + successes + failures) * likelier
 
 
 def _sight(state: TableState) -> tuple[Float[Array, "*B N"], Float[Array, "*B N N"]]:
-    """Share of each object in sight; and [j, i], how much more of j would be without i, 0 for what is not there."""
+    """Visible share of each object; and [j, i], how much more of j is visible without i, 0 for absent objects."""
     xp, is_there = library_of(state.hides), state.is_on_table
     left = xp.where(is_there[..., None, :], xp.maximum(1.0 - state.hides, LEAST_IN_SIGHT), np.float32(1.0))
     in_sight = xp.prod(left, axis=-1)
@@ -209,11 +210,11 @@ def _sight(state: TableState) -> tuple[Float[Array, "*B N"], Float[Array, "*B N 
 NUM_WASH, NUM_LIFT, NUM_TEAM, NUM_WAIT, NUM_FINISH = 12, 6, 18, 8, 2
 NUM_TEAM_FEATURES = NUM_WASH + NUM_LIFT + NUM_TEAM + 2 + 2 + NUM_WAIT + NUM_FINISH + 1
 _WIN_EASE, _SOON = 3, 9
-"""Where the columns of a table hold win·ease and soon."""
+"""Columns of a table that hold win·ease and soon."""
 
 
 def team_features(state: TableState, grasp: GraspModel | None = None) -> Float[Array, "*B A F"]:
-    """φ(S, a) of every action of the robot that decides, WAIT last."""
+    """φ(S, a) of every action of the deciding robot, WAIT last."""
     xp, others, mine = library_of(state.log_odds), actions.others_of(state), actions.reached_by_decider(state)
     columns = table_columns(state, grasp)
     by_robot = [columns]
@@ -245,7 +246,7 @@ def team_features(state: TableState, grasp: GraspModel | None = None) -> Float[A
 def _under_way(
     verb: Verb, by_robot: Sequence[Sequence[Float[Array, "*B N"]]], state: TableState, others: Others
 ) -> Float[Array, "*B A f1"]:
-    """How many robots are at a verb after each action, and the sum of what it is about their targets."""
+    """Number of robots that execute a verb after each action, and the summed terms of their targets."""
     xp, robots = library_of(state.log_odds), state.robots
     assert robots is not None
     each = _by_robot(state, [[xp.ones_like(state.log_odds), *own] for own in by_robot])
@@ -257,7 +258,7 @@ def _under_way(
 
 
 def _by_robot(state: TableState, by_robot: Sequence[Sequence[Float[Array, "*B N"]]]) -> Float[Array, "*B K N f"]:
-    """What is known of each object, as each robot grasps; the same of all where they grasp alike."""
+    """Columns of each object by each robot's grasp model; the same for all robots where they grasp alike."""
     xp, each = library_of(state.log_odds), [_there(state, columns) for columns in by_robot]
     return xp.broadcast_to(xp.stack(each, axis=-3), (*each[0].shape[:-2], state.num_robots, *each[0].shape[-2:]))
 
@@ -274,7 +275,7 @@ def _of_team(
     others: Others,
     at_work: Float[Array, "*B 3"],
 ) -> Float[Array, "*B 18"]:
-    """What the team can clear, and who reaches it, where one robot does what is `mine`."""
+    """What the team can clear, and who reaches it; the deciding robot reaches `mine`."""
     xp, among, reached = library_of(each), mine | others.reached, others.reached
     best = xp.max(xp.where(among, each[..., _SOON], np.float32(0.0)), axis=-1)
     idle = xp.exp(-8.0 * best) * xp.any(among, axis=-1)
@@ -283,7 +284,7 @@ def _of_team(
 
 
 def _rows(state: TableState, width: int, **of_verb: Float[Array, "*S {width}"]) -> Float[Array, "*B A {width}"]:
-    """What some verbs have, one row for all of its objects or one for each; the others have zeros."""
+    """Features of some verbs, one row for all objects or one for each; zeros for the other verbs."""
     xp, batch = library_of(state.log_odds), state.is_object.shape[:-1]
     sizes = {"finish": 1, "wash": state.num_objects, "lift": state.num_objects, "wait": 1}
 

@@ -1,4 +1,4 @@
-"""What one look at a table tells of dirt: labels, and P(DIRTY) after them; the same wherever it is shown."""
+"""Dirt after one look at a table: labels, and P(DIRTY) given them. All displays share this module."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,16 +15,16 @@ from halfseen.world.config import WorldConfig
 from halfseen.world.seeing import AssumedSeeing, KnownSeeing
 
 PRIOR = float(WorldConfig.dirty_share)
-"""P(DIRTY) before any label, where no policy says another."""
+"""P(DIRTY) before any label, unless a policy specifies another."""
 
 
 class FirstLook(NamedTuple):
-    """Labels of a view, and what they tell."""
+    """Labels of a view, and P(DIRTY) given them."""
 
     labels: Sequence[Label] | None
-    """One an object; None where there is neither colour nor a file."""
+    """One for each object; None if there is neither colour nor a file."""
     chances: list[float]
-    """P(DIRTY) of each object; the prior where nothing can be told."""
+    """P(DIRTY) of each object; the prior for unlabelled ones."""
     words: str
     """Both in a sentence; empty without labels."""
 
@@ -36,18 +36,18 @@ def first_look(
     dirty_share: float = PRIOR,
     seeing: KnownSeeing = AssumedSeeing(),  # noqa: B008 - frozen
 ) -> FirstLook:
-    """Label what is seen, as a file says or else by colour, and say how likely each object is dirty.
+    """Label the objects of a view, from a file or else by colour, and compute P(DIRTY) of each.
 
     Parameters
     ----------
     view, cloud
-        The cloud, and what was seen in it.
+        The cloud, and the objects segmented in it.
     file
-        Labels, as `halfseen.perception.read_labels` takes them.
+        Labels, in the format of `halfseen.perception.read_labels`.
     dirty_share
         P(DIRTY) before any label, in (0, 1).
     seeing
-        What labels tell.
+        The accuracy of labels.
 
     Raises
     ------
@@ -62,14 +62,14 @@ def first_look(
 
 
 def chances_of(present: Present) -> list[float]:
-    """P(DIRTY) of each object, by all labels so far."""
+    """P(DIRTY) of each object given all labels so far."""
     return expit(np.asarray(present.state.log_odds, dtype=np.float64)).tolist()
 
 
 def labels_in_words(labels: Sequence[Label], file: Path | None) -> str:
-    """Say which objects look how, and by what.
+    """List the objects of each label, and the source of the labels.
 
-    `file` is where they were read; None for those by colour.
+    `file` is the file that they were read from; None for labels by colour.
     """
     named = {word: [k for k, label in enumerate(labels) if label.word == word] for word in WORDS.values()}
     listed = "; ".join(f"{word}: {', '.join(map(str, objects))}" for word, objects in named.items() if objects)
@@ -77,5 +77,5 @@ def labels_in_words(labels: Sequence[Label], file: Path | None) -> str:
 
 
 def chances_in_words(present: Present) -> str:
-    """Say how likely each object is dirty."""
+    """P(DIRTY) of each object, in words."""
     return f"P(dirty) is {', '.join(f'{k}: {chance:.2f}' for k, chance in enumerate(chances_of(present)))}"

@@ -1,6 +1,7 @@
-"""From the log of a table, of any number of robots, to the attempts to grasp that it holds, the cut ones included.
+"""Attempts to grasp in the log of a table, for any number of robots, including cut attempts.
 
-And what a fit to attempts accepts: tables in, checked float64 and bool out, bad values named; and its folds.
+Also the input checks of fits to attempts (tables in, float64 and bool out, bad values named), and cross-validation
+folds.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -37,34 +38,34 @@ _COLUMNS = [*_KEY, "occlusion", "grip", "successes", "failures", "succeeded", "t
 
 
 def attempts(logs: Logs, horizon: int | None = None) -> pd.DataFrame:
-    """List every attempt to WASH or LIFT (any verb with a target) whose end, or cut, was seen.
+    """List every attempt to WASH or LIFT (any verb with a target) whose end, or cut, was observed.
 
-    An attempt lasts until its robot decides again, or is free to. Whether it succeeded shows in the object's counts
-    then. After the last stage of a trajectory there are none: a WASH that ends a trajectory before the horizon has
-    cleared the table, so it succeeded. Of an attempt in stage `horizon`, and of several robots of one's last decision,
-    nobody wrote down what became of it; those attempts are left out, cut ones too. That depends on the number of the
-    decision alone, and so it biases nothing. So is an attempt that was cut the moment it began: it was watched for 0 s.
-    What a robot was at when it dropped out was cut.
+    An attempt lasts until its robot decides again, or is free to. The object's counts then show whether it succeeded.
+    There are no counts after the last stage of a trajectory. A WASH that ends a trajectory before the horizon has
+    cleared the table, so it succeeded. The outcome of an attempt in stage `horizon`, or in the last decision of one of
+    several robots, is not recorded. Such attempts are left out, cut ones too; this depends only on the number of the
+    decision, so it causes no bias. An attempt that was cut as it began is left out as well: it was watched for 0 s. An
+    attempt under way when its robot dropped out counts as cut.
 
     Parameters
     ----------
     logs
-        A log with objects: columns occlusion, successes, failures, and grip if there is one.
+        A log with objects: columns occlusion, successes, failures, and optionally grip.
     horizon
         Stages after which a trajectory of one robot ends by itself; by default the stages of the longest trajectory.
 
     Returns
     -------
     DataFrame
-        One row an attempt, sorted by trajectory and stage: trajectory, stage, object (a number for each object of each
-        trajectory), occlusion, grip (0 where the log has none), successes and failures (before the attempt), succeeded
-        (null where cut), time_s (duration watched, transport included [s]) and is_finished (False where cut); and robot
-        where there are several.
+        One row for each attempt, sorted by trajectory and stage: trajectory, stage, object (a number for each object of
+        each trajectory), occlusion, grip (0 if the log has none), successes and failures (before the attempt),
+        succeeded (null where cut), time_s (duration watched, transport included [s]) and is_finished (False where cut);
+        and robot if there are several.
 
     Raises
     ------
     LogError
-        The log has no objects or lacks one of their columns, or the outcome of an attempt cannot be told.
+        The log has no objects or lacks one of their columns, or the outcome of an attempt is unknown.
     """
     objects, stages = _checked_objects(logs), logs.stages
     if robots_in(logs):
@@ -85,7 +86,7 @@ def attempts(logs: Logs, horizon: int | None = None) -> pd.DataFrame:
 
 
 def rows_of_attempts(logs: Logs, tried: pd.DataFrame) -> Int[np.ndarray, " k"]:
-    """Find the stages in which attempts were begun."""
+    """Rows of the stages in which the attempts began."""
     rows, begun = (pd.MultiIndex.from_frame(pd.DataFrame(each[_KEY[:2]])) for each in (logs.stages, tried))
     return rows.get_indexer(begun)
 
@@ -101,12 +102,12 @@ def _checked_objects(logs: Logs) -> pd.DataFrame:
 
 
 class _Ends(NamedTuple):
-    """Where what was begun in each stage came to its end."""
+    """End of the action begun in each stage."""
 
     stage: Int[np.ndarray, " rows"]
-    """The first later one in which the robot is free; 0 where there is none, −1 where it had dropped out by then."""
+    """First later stage in which the robot is free; 0 if there is none, −1 if it had dropped out by then."""
     after_s: Float[np.ndarray, " rows"]
-    """From the begin of the stage until then, or until the trajectory ended or the robot dropped out [s]."""
+    """Time from the start of the stage until then, or until the trajectory ended or the robot dropped out [s]."""
 
 
 def _ends(logs: Logs) -> _Ends:
@@ -133,7 +134,7 @@ def _ends(logs: Logs) -> _Ends:
 
 
 def _is_last(logs: Logs, horizon: int | None) -> Bool[np.ndarray, " rows"]:
-    """Whether nobody can have written down what becomes of what is begun in a stage."""
+    """Whether a log cannot hold the outcome of an action begun in a stage."""
     stages = logs.stages
     if not robots_in(logs):
         return (stages["stage"] >= (logs.horizon if horizon is None else horizon)).to_numpy()
@@ -155,7 +156,7 @@ def _of_one(rows: pd.DataFrame, counts: Float[np.ndarray, "rows 2"]) -> pd.Serie
 
 
 def _of_team(rows: pd.DataFrame, counts: Float[np.ndarray, "rows 2"]) -> pd.Series:
-    """The same of several robots: a clear table ends a trajectory while a WASH is under way, and no other end does."""
+    """The same for several robots: only a clear table ends a trajectory while a WASH is under way."""
     was_seen, is_clear = (rows["next"] > 0).to_numpy(), (rows["next"] == 0).to_numpy() & rows["is_clear"].to_numpy()
     held = np.where(was_seen, counts[:, 0] > rows["successes"].to_numpy(), is_clear)
     return pd.Series(held, dtype="boolean").mask(pd.Series(~was_seen & ~is_clear))
@@ -167,27 +168,27 @@ def _refuse(rows: pd.DataFrame, wrong: Bool[np.ndarray, " rows"], trouble: str) 
 
 
 class Decided(NamedTuple):
-    """Attempts that came to their own end, weighted for those that did not."""
+    """Decided attempts, weighted for the cut ones."""
 
     history: History
     succeeded: RowMask
     weight: Rows
-    """1/Ĝ(time_s⁻); 1 where nothing says that anything was cut."""
+    """1/Ĝ(time_s⁻); 1 if the data have no column of cuts."""
     group: Int[np.ndarray, " n"]
-    """Number of the object; attempts of one object are never split."""
+    """Number of the object; attempts at one object are never split."""
     diagnostics: WeightDiagnostics
     row: Int[np.ndarray, " n"]
-    """Of the table that was given."""
+    """Row in the given table."""
 
     def among(self, kept: RowMask | Int[np.ndarray, " k"]) -> "Decided":
-        """Keep some, by mask or by number, with the weights and the diagnostics that they had among all."""
+        """Keep some attempts, by mask or by number; weights and diagnostics do not change."""
         history = History(*(values[kept] for values in self.history))
         each = {name: getattr(self, name)[kept] for name in ("succeeded", "weight", "group", "row")}
         return self._replace(history=history, **each)
 
 
 def kinds(*columns: Float[np.ndarray, " n"] | Bool[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " k"], RowIds]:
-    """Tell rows apart that differ in a column: the first of each kind, all that a fit needs, and the kind of each."""
+    """Group identical rows: the first row of each kind, all that a fit needs, and the kind of each row."""
     code = np.zeros(len(columns[0]), dtype=np.int64)
     for column in columns:
         values, number = np.unique(column, return_inverse=True)
@@ -208,12 +209,12 @@ def checked_history(data: FrameLike) -> History:
 
 
 def checked_covariates(data: FrameLike, names: Sequence[str]) -> Float[np.ndarray, "rows k"]:
-    """Read what else is seen of each attempt, one column a name.
+    """Read further covariates of each attempt, one column for each name.
 
     Raises
     ------
     ArgumentError
-        A column is missing, or a value is no finite number.
+        A column is missing, or a value is not a finite number.
     """
     frame = _frame(data, names)
     return np.array([_numbers(frame, name) for name in names]).reshape(len(names), len(frame)).T
@@ -222,15 +223,15 @@ def checked_covariates(data: FrameLike, names: Sequence[str]) -> Float[np.ndarra
 def checked_attempts(
     data: FrameLike, censoring: str | CensoringModel = "kaplan-meier", truncate_at: float | int | None = None
 ) -> Decided:
-    """Read attempts and weigh those that were decided.
+    """Read attempts and weight the decided ones.
 
-    There are columns occlusion, successes, failures and succeeded; optionally time_s and is_finished, and object.
+    Columns are occlusion, successes, failures and succeeded; optionally time_s and is_finished, and object.
     Weights are as in `BetaGrasp`.
 
     Raises
     ------
     ArgumentError
-        A column or value is none that attempts can have, or none was decided.
+        A column or value is invalid, or no attempt was decided.
     PositivityError
         A weight is not identified.
     """
@@ -315,26 +316,26 @@ def _refuse_value(frame: pd.DataFrame, column: str, wrong: Bool[np.ndarray, " ro
 
 
 FEWEST_OBJECTS = 2
-"""Objects that failed, and that succeeded, without which none can be held out."""
+"""Fewest objects with failures, and with successes, for holding some out."""
 
 
 def can_hold_out(attempts: pd.DataFrame) -> bool:
-    """Say whether either outcome was seen of enough objects to hold some out, as anyone who chooses λ must."""
+    """Whether both outcomes occurred with enough objects to hold some out, as the choice of λ requires."""
     decided = attempts[attempts["is_finished"].astype(bool)]
     succeeded = decided["succeeded"].astype(bool)
     return all(decided.loc[rows, "object"].nunique() >= FEWEST_OBJECTS for rows in (succeeded, ~succeeded))
 
 
 def splits_of(decided: Decided, num_folds: int, random_state: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Deal attempts into folds: for each, which to fit to and which to hold out; an object's attempts stay together.
+    """Split attempts into folds, each as fitted and held-out attempts; attempts at one object stay together.
 
-    There are `num_folds`, if so many objects failed and so many succeeded; else as many as did. Objects are dealt in
-    the order of their success, in which those of one outcome are neighbours: both outcomes are in every fold.
+    There are at most `num_folds`, and no more than objects with failures or with successes. Objects are assigned to
+    folds in the order of their success rate, so that every fold has both outcomes.
 
     Raises
     ------
     ArgumentError
-        There are fewer than 2 folds, or one outcome was seen of one object alone.
+        `num_folds` is below 2, or one outcome occurred with a single object only.
     """
     if num_folds < 2:
         raise ArgumentError(f"num_folds is {num_folds}; cross-validation needs at least 2")

@@ -1,15 +1,15 @@
-"""What tells the probability of a grasp: what is given, or what a log's own attempts speak for.
+"""The model of the probability of a grasp: a given one, or the one that a log's attempts support.
 
-*Where nothing is said.* A table's features take a grasp to succeed with the share in sight times the rule of succession
-(`halfseen.tables.features`). That needs no data, and is right where what is hidden is hard to grip. A cell in which it
-is not so shows it in its own attempts. So trajectories are dealt into folds; `BetaGrasp` learns from all but one and
-foretells the attempts of that one, and it is taken only where that at least halves the squared error, beyond noise. To
-foretell a little better is not enough. The share in sight also says how much a look shows and how long an attempt
-takes, and under the assumed laws features with the true probability of a grasp in its place earn less, though their
-error is a fourth smaller; under the law of the cell, where the Beta leaves a fifth of it, they earn more.
+*Default.* By default a table's features use the visible share times the rule of succession as the probability of a
+grasp (`halfseen.tables.features`). That needs no data, and is right where hidden objects are hard to grip. Where they
+are not, a cell's own attempts show it. So trajectories are split into cross-validation folds. `BetaGrasp` learns from
+all but one fold and predicts the held-out attempts. It is chosen only if it at least halves the squared error, beyond
+noise. A slightly better prediction is not enough. The visible share also predicts how much a look reveals and how long
+an attempt takes. Under the assumed laws, features with the true probability of a grasp in its place earn less, although
+their error is a quarter smaller. Under the law of the cell, where the Beta leaves a fifth of the error, they earn more.
 
-*Where the robots of a team differ.* A Beta of each robot's own attempts is taken (`GraspByRobot`) only where it
-foretells held-out attempts better than one of all, beyond noise.
+*Robots that differ.* A Beta regression for each robot (`GraspByRobot`) is chosen only if it predicts held-out attempts
+better than one for all robots, beyond noise.
 """
 
 import warnings
@@ -35,13 +35,13 @@ from halfseen.world.policy import GraspModel
 
 NUM_FOLDS = 5
 WORTH = 0.5
-"""Share of the rule's squared error that the Beta must take away."""
+"""Share of the rule's squared error that the Beta must remove."""
 CLEARLY = 2.0
-"""Standard errors by which it must take away more than that."""
+"""Standard errors by which the removed error must exceed that share."""
 FEWEST_ATTEMPTS = 30
-"""Decided attempts below which there is nothing to choose by."""
+"""Fewest decided attempts for a choice."""
 GRIP_SPREAD = np.array([1.0, 0.5])
-"""Standard deviations of the normal prior on shift and per_grip, about 0: few attempts say little of either."""
+"""Standard deviations of the normal prior on shift and per_grip, with mean 0."""
 KEPT = "the probability of a grasp is the rule of succession’s"
 BY_ROBOT = (
     "the probability of a grasp is learned from each robot’s own attempts: held out, these foretell them better than "
@@ -50,14 +50,14 @@ BY_ROBOT = (
 
 
 class GraspChoice(NamedTuple):
-    """What tells the probability of a grasp, and why.
+    """The chosen model of the probability of a grasp, and the reason.
 
     Parameters
     ----------
     grasp
-        A Beta regression, as policies hold it; None for the rule of succession.
+        A Beta regression as a table; None for the rule of succession.
     sentence
-        What was chosen and why.
+        The choice and the reason.
     """
 
     grasp: GraspTable | GraspByRobot | None
@@ -65,7 +65,7 @@ class GraspChoice(NamedTuple):
 
 
 def choose_grasp(logs: Logs, horizon: int) -> GraspChoice:
-    """Choose by a log; the rule of succession where it does not tell what became of its attempts."""
+    """Choose by a log; the rule of succession if the outcomes of its attempts are unknown."""
     try:
         return choose_by(attempts(logs, horizon), horizon, robots_in(logs))
     except HalfseenError as error:
@@ -75,7 +75,7 @@ def choose_grasp(logs: Logs, horizon: int) -> GraspChoice:
 def choose_by(tried: pd.DataFrame, horizon: int, num_robots: int = 1) -> GraspChoice:
     """Choose by attempts.
 
-    `tried` is as `attempts` gives it, with the robot of each if there are several.
+    `tried` is the result of `attempts`, with the robot of each attempt if there are several.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def choose_by(tried: pd.DataFrame, horizon: int, num_robots: int = 1) -> GraspCh
     if num_decided < FEWEST_ATTEMPTS:
         return GraspChoice(None, f"{KEPT}: {num_decided} decided attempts are too few to learn it from")
     with warnings.catch_warnings(), one_thread():
-        # Nobody asked for these weights, and the standard error tells how much they are worth.
+        # These weights are internal, and the standard error accounts for their noise.
         warnings.simplefilter("ignore", HalfseenWarning)
         held = _HeldOut.of(tried)
         robot = (
@@ -98,7 +98,7 @@ def choose_by(tried: pd.DataFrame, horizon: int, num_robots: int = 1) -> GraspCh
         thetas = held.fitted(is_of)
         said = np.stack([held.said(folds) for folds in thetas[:, :-1]])
         history = held.decided.history
-        # What the features say: they take what shows of a grip in full.
+        # The probability used by the features, with the full effect of the visible grip.
         by_rule = (1.0 - history.occlusion) * succession(history.successes, history.failures, held.grip)
         rule, beta = held.errors(by_rule), held.errors(said[0])
     if len(said) > 1 and _is_clear(beta - held.errors(said[1 + robot, np.arange(len(robot))])):
@@ -120,7 +120,7 @@ def _is_clear(lead: Float[np.ndarray, " trajectories"]) -> bool:
 
 
 class _HeldOut(NamedTuple):
-    """Decided attempts, whose trajectories are dealt into folds."""
+    """Decided attempts, whose trajectories are split into folds."""
 
     decided: Decided
     trajectory: RowIds
@@ -133,13 +133,13 @@ class _HeldOut(NamedTuple):
         return cls(decided, trajectory, tried["grip"].to_numpy(dtype=np.float64)[decided.row])
 
     def fitted(self, is_of: Bool[np.ndarray, "G n"]) -> Float[np.ndarray, "G V 3"]:
-        """Fit to each of some groups of attempts: without the trajectories of each fold, and, last, to all."""
+        """Fit to each group of attempts: without the trajectories of each fold, and, last, to all."""
         is_kept = np.vstack([self.trajectory % NUM_FOLDS != np.arange(NUM_FOLDS)[:, None], np.ones_like(is_of[:1])])
         weight = (is_of[:, None] & is_kept) * self.decided.weight
         return fitted_thetas(self.decided, weight.reshape(-1, len(self.trajectory))).reshape(*weight.shape[:2], -1)
 
     def said(self, folds: Float[np.ndarray, "V 3"]) -> Rows:
-        """What is foretold of each attempt by the fit without its fold."""
+        """Prediction of each attempt by the fit without its fold."""
         said = np.stack([predictive(theta, self.decided.history) for theta in folds])
         return said[self.trajectory % NUM_FOLDS, np.arange(len(self.trajectory))]
 
@@ -149,7 +149,7 @@ class _HeldOut(NamedTuple):
         return np.bincount(self.trajectory, squared, self.trajectory.max() + 1)
 
     def table(self, theta: Theta, mine: RowMask, horizon: int) -> GraspTable:
-        """Tabulate a fit to some attempts, with what their grips count beside it."""
+        """Tabulate a fit to some attempts, with the effect of their grips."""
         own = self.decided.among(mine)
         effect = _fitted_effect(predictive(theta, own.history), own, self.grip[mine])
         return grasp_table.table_of(predictive(theta, grasp_table.every_history(horizon)), horizon, effect)
@@ -158,15 +158,15 @@ class _HeldOut(NamedTuple):
 def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
     """Make a grasp model that a policy can carry.
 
-    None and a `GraspModel` are taken as they are. A grasp estimator is tabulated, and first fitted to the attempts
-    of the log (as a copy) if it is not fitted.
+    None and a `GraspModel` are returned as they are. A grasp estimator is tabulated; if it is not fitted, a copy of it
+    is first fitted to the attempts of the log.
 
     Raises
     ------
     ArgumentError
-        `grasp` is none of these, or the attempts do not suffice to fit it.
+        `grasp` is none of these, or there are too few attempts to fit it.
     LogError
-        The log does not tell what became of its attempts.
+        The outcomes of the log's attempts are unknown.
     """
     if grasp is None or (isinstance(grasp, GraspModel) and not isinstance(grasp, type)):
         return grasp
@@ -180,8 +180,8 @@ def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
 
 
 def grasp_model_by(grasp: GraspEstimator, tried: pd.DataFrame, horizon: int) -> GraspModel:
-    """Make one of an estimator, a copy of which is fitted to attempts; it raises what `grasp_model_of` does."""
-    # It takes longer to import than a decision, which does not come here.
+    """Make a grasp model from a copy of an estimator, fitted to attempts; errors are those of `grasp_model_of`."""
+    # The import takes longer than a decision, which does not need it.
     from sklearn.base import clone
 
     estimator: Any = clone(grasp)
@@ -190,12 +190,12 @@ def grasp_model_by(grasp: GraspEstimator, tried: pd.DataFrame, horizon: int) -> 
 
 
 def fit_grip_effect(model: GraspEstimator, tried: pd.DataFrame) -> GripEffect:
-    """Fit by maximum a posteriori to decided attempts, weighted by 1/Ĝ; no effect where no grip was ever seen.
+    """Fit the grip effect by maximum a posteriori to decided attempts, weighted by 1/Ĝ; no effect if all grips are 0.
 
     Raises
     ------
     ArgumentError
-        A grip is no finite number.
+        A grip is not a finite number.
     PositivityError
         A weight is not identified.
     """
@@ -205,7 +205,7 @@ def fit_grip_effect(model: GraspEstimator, tried: pd.DataFrame) -> GripEffect:
 
 
 def _fitted_effect(said: Rows, decided: Decided, grip: Rows) -> GripEffect:
-    """Fit to what a model says of decided attempts without their grips."""
+    """Fit the grip effect to a model's predictions of decided attempts without their grips."""
     from scipy.special import expit, logit
 
     if not grip.any():

@@ -3,9 +3,9 @@
 ========  =================================================================================
 symbol    here
 ========  =================================================================================
-p         the object's own probability of a grasp, never seen
+p         the object's own probability of a grasp, unobserved
 m(occ)    prior mean of p: expit(intercept + slope · occlusion)
-s         strength of the prior: as many past attempts weigh as much as it does
+s         strength of the prior, as an equivalent number of past attempts
 k, l      past successes and failures
 ========  =================================================================================
 
@@ -39,7 +39,7 @@ from halfseen.tables.grasp_table import History
 CENTRE = np.array([0.0, 0.0, np.log(2.0)])
 """Mode of the weak normal prior on intercept, slope and log s: half succeed; strength of the rule of succession."""
 SPREAD = np.array([5.0, 5.0, 2.0])
-"""Its standard deviations: wide, yet nothing runs away when all grasps succeed, or no object was tried twice."""
+"""Its standard deviations: wide, but estimates stay finite if all grasps succeed, or no object was tried twice."""
 Theta = Float[np.ndarray, "3"]
 Weights = Float[np.ndarray, "K n"]
 
@@ -48,19 +48,19 @@ Weights = Float[np.ndarray, "K n"]
 class BetaGrasp(Estimator):
     """Probability of a grasp as the mean of a Beta distribution over the object's own probability.
 
-    The object's past attempts update a prior Beta(s·m, s·(1 − m)) whose mean m falls or rises with occlusion.
-    Intercept, slope and log s maximise Σ_i w_i log P(outcome_i | occ_i, k_i, l_i) plus a weak normal prior. At constant
-    occlusion the product of the predictive probabilities along an object's attempts is its Beta-binomial likelihood
-    [Skellam1948]_, exactly; where occlusion changes between them it is what the model means by its predictive. Cut
-    attempts weigh nothing, and decided ones 1/Ĝ(time_s⁻) (paper, eq. 2).
+    The object's past attempts update a prior Beta(s·m, s·(1 − m)) whose mean m depends on occlusion. Intercept, slope
+    and log s maximise Σ_i w_i log P(outcome_i | occ_i, k_i, l_i) plus the log-density of a weak normal prior. At
+    constant occlusion the product of the predictive probabilities of an object's attempts is exactly its Beta-binomial
+    likelihood [Skellam1948]_. If occlusion changes between attempts, the predictive probabilities define the model. Cut
+    attempts have weight 0, decided ones 1/Ĝ(time_s⁻) (paper, eq. 2).
 
     Without history in the data s is not identified, and stays at 2, the strength of the rule of succession.
 
     Parameters
     ----------
     censoring
-        ``"kaplan-meier"``, ``"cox"`` or ``"kernel"`` (both on the history), ``"none"`` to count decided attempts alike
-        (which is biased where some were cut), or a fitted or unfitted `CensoringModel`.
+        ``"kaplan-meier"``, ``"cox"`` or ``"kernel"`` (both on the history), ``"none"`` for equal weights of decided
+        attempts (biased if some were cut), or a fitted or unfitted `CensoringModel`.
     truncate_at
         Largest weight allowed, if any.
 
@@ -71,7 +71,7 @@ class BetaGrasp(Estimator):
     strength_ : float
         s.
     classes_ : Bool[ndarray, "2"]
-        What the columns of `predict_proba` stand for: failed, succeeded.
+        Classes of the columns of `predict_proba`: failed, succeeded.
     diagnostics_ : WeightDiagnostics
         Effective sample size of the weights, and the largest of them.
 
@@ -101,12 +101,12 @@ class BetaGrasp(Estimator):
         frame
             occlusion in [0, 1]; successes and failures (of the object, before the attempt); succeeded, read where the
             attempt was decided; optionally time_s (duration watched [s]) together with is_finished (False: cut before
-            it was decided). Other columns are not read.
+            it was decided). Other columns are ignored.
 
         Raises
         ------
         ArgumentError
-            A column or value is none that attempts can have, or none was decided; the row is named.
+            A column or value is invalid, or no attempt was decided; the row is named.
         PositivityError
             A weight is not identified.
         """
@@ -128,7 +128,7 @@ class BetaGrasp(Estimator):
         Raises
         ------
         ArgumentError
-            A column or value is none that an attempt can have; the row is named.
+            A column or value is invalid; the row is named.
         """
         check_fitted(self, "strength_")
         theta = np.array([self.intercept_, self.slope_, np.log(self.strength_)])
@@ -146,17 +146,17 @@ def predictive(theta: Theta, history: History) -> Rows:
 
 
 def negative_log_posteriors(theta: Float[np.ndarray, "K 3"], decided: Decided, weight: Weights) -> Derivatives:
-    """What `BetaGrasp` minimises, its gradient and its Hessian, for K weightings of the same attempts at once.
+    """Loss of `BetaGrasp`, its gradient and its Hessian, for K weightings of the same attempts at once.
 
-    With η the logit of m, μ = m of the outcome that was seen (m or 1 − m) and c its count (k or l), an attempt has
-    probability q = (s·μ + c) / (s + k + l); what is summed is −log q.
+    With η the logit of m, μ the mean of the observed outcome (m or 1 − m) and c its count (k or l), an attempt has
+    probability q = (s·μ + c) / (s + k + l) and adds −log q to the loss.
     """
     from scipy.special import expit
 
     history, sign = decided.history, np.where(decided.succeeded, 1.0, -1.0)
     tries, count = history.successes + history.failures, np.where(decided.succeeded, *history[1:])
     strength = np.exp(theta[:, 2:])
-    # Of the outcome that was seen: 1 − probability would round to 0 where a success is all but sure.
+    # Mean of the observed outcome: 1 − probability would round to 0 where a success is almost certain.
     mean = expit(sign * (theta[:, :1] + theta[:, 1:2] * history.occlusion))
     own, other = strength / (strength + tries), tries / (strength + tries)
     above = strength * mean + count
@@ -178,7 +178,7 @@ def negative_log_posteriors(theta: Float[np.ndarray, "K 3"], decided: Decided, w
 
 
 def fitted_thetas(decided: Decided, weight: Weights) -> Float[np.ndarray, "K 3"]:
-    """Intercept, slope and log s of the largest posterior density, under each of K weightings."""
+    """Posterior mode of intercept, slope and log s under each of K weightings."""
     first, kind = kinds(*decided.history, decided.succeeded)
     each = decided.among(first)
     of_kind = np.stack([np.bincount(kind, row, len(first)) for row in weight])
@@ -187,23 +187,23 @@ def fitted_thetas(decided: Decided, weight: Weights) -> Float[np.ndarray, "K 3"]
 
 LINEAR_AND_GAUSSIAN = "linear+gaussian"
 SLACK = 0.01
-"""Held-out losses that differ by less than this share of the least are taken as equal."""
+"""Held-out losses within this share of the smallest count as equal."""
 
 
 @dataclass(eq=False, repr=False)
 class SVMGrasp(Estimator):
     """Probability of a grasp by the censored SVM (paper, eqs. 1 and 2), with logistic loss, calibrated.
 
-    It looks at the occlusion and at log(1 + successes) and log(1 + failures), each scaled to unit weighted variance:
-    the first failure tells more than the fifth. In these features the log odds of a Beta mean,
+    The features are occlusion, log(1 + successes) and log(1 + failures), each scaled to unit weighted variance: the
+    first failure is more informative than the fifth. In these features the log-odds of a Beta mean,
     log(s·m + k) − log(s·(1 − m) + l), are nearly linear. So the kernel is x·z + exp(−‖x − z‖² / d), d being the number
-    of features: the linear part says that much from few attempts, and the Gaussian part adds what departs from it.
+    of features: the linear part learns from few attempts, and the Gaussian part adds deviations from it.
 
-    Cut attempts weigh nothing, and decided ones 1/Ĝ(time_s⁻). λ is chosen by the weighted loss on attempts that were
-    held out, never splitting the attempts of one object: the largest λ whose loss is within 1 % of the least, because
-    below it f changes most where no attempt was made. Values of held-out attempts calibrate the probabilities
-    [Platt1999]_. None is surer than the rule of succession after as many attempts, all alike, as the effective sample
-    size.
+    Cut attempts have weight 0, decided ones 1/Ĝ(time_s⁻). λ is chosen by the weighted loss on held-out attempts; the
+    attempts at one object are never split. It is the largest λ whose loss is within 1 % of the smallest, because a
+    smaller λ changes f most where no attempt was made. Values of held-out attempts calibrate the probabilities
+    [Platt1999]_. They are limited to those of the rule of succession after as many equal outcomes as the effective
+    sample size.
 
     Parameters
     ----------
@@ -218,8 +218,8 @@ class SVMGrasp(Estimator):
     num_landmarks
         Rank of the kernel's low-rank form; None for the exact kernel.
     covariates
-        Columns that tell what else is seen of each attempt, numbers; they join the features. A model that has any
-        cannot be tabulated for a policy, as those numbers are not among what `GraspTable` is asked.
+        Further numeric columns of the attempts, added to the features. A model with covariates cannot be tabulated for
+        a policy, because `GraspTable` does not have them.
     random_state
         Seed of folds and landmarks.
 
@@ -228,9 +228,9 @@ class SVMGrasp(Estimator):
     svc_ : CensoredSVC
         The classifier, on scaled features.
     centre_, scale_ : Float[ndarray, "d"]
-        Of the features.
+        Mean and scale of the features.
     classes_ : Bool[ndarray, "2"]
-        What the columns of `predict_proba` stand for: failed, succeeded.
+        Classes of the columns of `predict_proba`: failed, succeeded.
     diagnostics_ : WeightDiagnostics
         Effective sample size of the weights, and the largest of them.
 
@@ -266,13 +266,13 @@ class SVMGrasp(Estimator):
         Parameters
         ----------
         frame
-            As in `BetaGrasp.fit`; and optionally object, whose attempts cross-validation keeps together. Without it,
-            every attempt counts as one of an object of its own. And the columns `covariates`.
+            As in `BetaGrasp.fit`; optionally object, whose attempts cross-validation keeps together; and the columns
+            `covariates`. Without object, every attempt has an object of its own.
 
         Raises
         ------
         ArgumentError
-            A column or value is none that attempts can have, none was decided, or only one outcome was seen.
+            A column or value is invalid, no attempt was decided, or only one outcome occurred.
         PositivityError
             A weight is not identified.
         """
@@ -310,7 +310,7 @@ class SVMGrasp(Estimator):
     def predict_proba(self, frame: FrameLike) -> Float[np.ndarray, "m 2"]:
         """Probability that an attempt fails, and that it succeeds.
 
-        It is asked as `BetaGrasp.predict_proba` is, and told `covariates`.
+        The argument is that of `BetaGrasp.predict_proba`, with the columns `covariates`.
         """
         check_fitted(self, "svc_")
         features = self._features(checked_history(frame), checked_covariates(frame, self.covariates))
@@ -324,7 +324,7 @@ class SVMGrasp(Estimator):
 
 
 def smoothest(svc: CensoredSVC) -> float:
-    """The largest λ whose held-out loss is about the least, of those with the γ that was chosen."""
+    """Largest λ whose held-out loss is close to the smallest, for the chosen γ."""
     losses = svc.cv_losses_[np.argmax(svc.cv_gammas_ == svc.gamma_)]
     return float(svc.cv_regs_[np.argmax(losses <= (1.0 + SLACK) * losses.min())])
 

@@ -1,14 +1,14 @@
-"""A fitted grasp model as a table of probabilities: what a policy carries of it.
+"""A fitted grasp model as a table of probabilities, the form that a policy stores.
 
-What shows of a grip stands beside a model of grasps that does not look at it. A cell sees more of an object than how
-much of it is hidden: that it lies, that it is wide, that there is no room. Its law makes of that the mean of the
-object's grip offset (`halfseen.world.state`). How much of the mean counts beside occlusion and past attempts is learned
-from the attempts themselves (`halfseen.tables.grasp_choice.fit_grip_effect`):
+The effect of a visible grip is added to a grasp model that does not use it. A cell sees more of an object than its
+hidden share: that it lies, that it is wide, that there is no room. The cell's law turns this into the mean of the
+object's grip offset (`halfseen.world.state`). Its effect, given occlusion and past attempts, is learned from the
+attempts themselves (`halfseen.tables.grasp_choice.fit_grip_effect`):
 
     P(held | p, grip) = expit(logit p + shift + per_grip · grip),
 
-with p what the model says without it. The offset itself varies about its mean, and that pulls log-odds together: under
-a spread σ by about √(1 + 0.35 σ²) [ZegerLiangAlbert1988]_. So `per_grip` lies between 0 and 1.
+with p the model's probability without the grip. The offset varies about its mean with standard deviation σ, which
+attenuates log-odds by about √(1 + 0.35 σ²) [ZegerLiangAlbert1988]_. So `per_grip` lies between 0 and 1.
 """
 
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -22,29 +22,29 @@ from halfseen.world.state import TableState, attempt_counts, occlusion
 
 NUM_OCCLUSIONS = 33
 SURE = 1e-9
-"""A probability is taken to be no nearer than this to 0 or 1."""
+"""Probabilities are clipped to this distance from 0 and 1."""
 
 
 @record
 class GraspTable:
     """P(success) by occlusion, past successes and past failures.
 
-    Between occlusions it interpolates; more successes or failures than the table holds count as the most that it holds.
-    What shows of an object's grip is added to the log-odds, as far as it counts.
+    Occlusions are interpolated; counts of successes or failures are capped at the largest in the table. The effect of
+    the mean grip offset is added to the log-odds.
 
     Parameters
     ----------
     probabilities
-        Where no grip shows: occlusions evenly from 0 to 1, successes from 0, failures from 0.
+        At grip offset 0: occlusions evenly spaced from 0 to 1, successes from 0, failures from 0.
     per_grip
-        Log-odds for each unit of the mean grip offset; 1 where the probabilities are given it, whatever it is.
+        Log-odds for each unit of the mean grip offset; 1 for its full effect.
     """
 
     probabilities: Float[Array, "*B O K K"]
     per_grip: Float[Array, "*B"] | float = 1.0
 
     def probability(self, state: TableState) -> Float[Array, "*B N"]:
-        """P(an attempt succeeds) for each object, by a table without axes in front."""
+        """P(an attempt succeeds) for each object, from a table without batch axes."""
         xp = library_of(state.log_odds, self.probabilities)
         num_cells, most = self.probabilities.shape[-3] - 1, self.probabilities.shape[-1] - 1
         successes, failures = (xp.clip(counts, 0, most).astype(np.int32) for counts in attempt_counts(state))
@@ -59,34 +59,34 @@ class GraspTable:
 
 @record
 class GraspByRobot:
-    """P(an attempt succeeds) by whichever robot makes it, and by each robot of a team (a `GraspModel`).
+    """P(an attempt succeeds) for the whole team, and for each robot (a `GraspModel`).
 
-    What the team can do with a table is worth the same, whichever robot decides, and goes by one model of all attempts.
-    What is about one object goes by the robot that is at it.
+    A team's prospects on a table are the same whichever robot decides, and use one model of all attempts. Features of
+    one object use the model of the robot that is at it.
 
     Parameters
     ----------
     shared
-        Learned from the attempts of all.
+        Learned from the attempts of all robots.
     own
-        Learned from those of each robot; axis K first.
+        Learned from the attempts of each robot; axis K first.
     """
 
     shared: GraspTable
     own: GraspTable
 
     def probability(self, state: TableState) -> Float[Array, "*B N"]:
-        """P(an attempt succeeds) for each object, whichever robot makes it."""
+        """P(an attempt succeeds) for each object, by the shared model."""
         return self.shared.probability(state)
 
     def of(self, robot: int) -> GraspTable:
-        """Give what tells the probability of one robot."""
+        """Return the table of one robot."""
         return mapped(lambda leaf: leaf[robot], self.own)
 
 
 @runtime_checkable
 class GraspEstimator(Protocol):
-    """What `BetaGrasp` and `SVMGrasp` are: fitted to attempts, it tells their probabilities."""
+    """Interface of `BetaGrasp` and `SVMGrasp`: estimators of the probability of an attempt."""
 
     def fit(self, frame: Any) -> "GraspEstimator":
         """Learn from attempts."""
@@ -98,7 +98,7 @@ class GraspEstimator(Protocol):
 
 
 class History(NamedTuple):
-    """What is known of an object before an attempt."""
+    """Covariates of an object before an attempt."""
 
     occlusion: Rows
     successes: Rows
@@ -106,34 +106,34 @@ class History(NamedTuple):
 
 
 class GripEffect(NamedTuple):
-    """How the mean grip offset of an object moves the log-odds of a grasp.
+    """Effect of an object's mean grip offset on the log-odds of a grasp.
 
     Parameters
     ----------
     shift
-        Added whatever the grip: it stands for the mean grip of the attempts that the model was fitted to.
+        Constant: it accounts for the mean grip of the attempts that the model was fitted to.
     per_grip
-        Added for each unit of the grip.
+        Slope for each unit of the grip.
     """
 
     shift: float = 0.0
     per_grip: float = 0.0
 
     def moved(self, probability: Rows, grip: Rows | float) -> Rows:
-        """P(held) given the grip, from what a model says without it."""
+        """P(held) given the grip, from a model's probability without it."""
         from scipy.special import expit, logit
 
         return expit(logit(np.clip(probability, SURE, 1.0 - SURE)) + self.shift + self.per_grip * grip)
 
 
 IN_FULL = GripEffect(per_grip=1.0)
-"""A grip counts as it is."""
+"""The full effect of the grip."""
 
 
 def tabulate(model: GraspEstimator, horizon: int, effect: GripEffect = IN_FULL) -> GraspTable:
-    """Ask a fitted model for all probabilities that a trajectory of `horizon` stages can need.
+    """Tabulate a fitted model for all histories possible in a trajectory of `horizon` stages.
 
-    `effect` is how much a grip counts beside it.
+    `effect` is the effect of the grip given the model.
 
     Raises
     ------
@@ -154,13 +154,13 @@ def tabulate(model: GraspEstimator, horizon: int, effect: GripEffect = IN_FULL) 
 
 
 def every_history(horizon: int) -> History:
-    """All that a trajectory of `horizon` stages can tell of an object, occlusions in steps."""
+    """All histories of an object possible in a trajectory of `horizon` stages, with discrete occlusions."""
     level, successes, failures = (axis.ravel() for axis in np.indices(_shape(horizon)))
     return History(level / (NUM_OCCLUSIONS - 1), successes.astype(np.float64), failures.astype(np.float64))
 
 
 def table_of(probabilities: Rows, horizon: int, effect: GripEffect) -> GraspTable:
-    """Make a table of the probabilities of `every_history`."""
+    """Make the table from the probabilities of `every_history`."""
     moved = effect.moved(probabilities, 0.0) if effect.shift else probabilities
     return GraspTable(moved.reshape(_shape(horizon)).astype(np.float32), np.float32(effect.per_grip))
 

@@ -1,17 +1,17 @@
-"""Laws of seeing, fitted to labels and to what washing showed, by maximum likelihood.
+"""Laws of seeing, fitted to labels and to results of washing, by maximum likelihood.
 
 With π the share of dirty objects, and D and C the likelihood of an object's labels if it is dirty and if it is clean,
-it adds to the log-likelihood
+an object adds to the log-likelihood
 
     log π + log D                   where washing showed that it was dirty,
     log(1 − π) + log C              where washing showed that it was clean,
-    log(π·D + (1 − π)·C)            where nothing was shown.
+    log(π·D + (1 − π)·C)            where it was not washed.
 
-What is washed is chosen by its labels. So labels of washed objects say DIRTY too often: they seem more right than they
-are where the object was dirty, and less where it was clean. The likelihood of all objects, those never washed included,
-takes that in: given the labels, whether an object was washed, held or cut does not depend on what it is, so what was
-not shown is missing at random [Rubin1976]_. Objects that were never washed tell as well, by how often their labels
-agree.
+Objects are chosen for washing by their labels. So labels of washed objects say DIRTY too often: they seem more accurate
+than they are for dirty objects, and less for clean ones. The likelihood of all objects, including those never washed,
+accounts for that. Given the labels, whether an object was washed, held or cut does not depend on its dirt, so the
+unobserved dirt is missing at random [Rubin1976]_. Objects never washed carry information in the agreement of their
+labels.
 
 **Independent** (`AssumedSeeing`). A label is right with probability q(occ) = floor + gain·(1 − occ)^power, so log D and
 log C are sums over the labels of an object.
@@ -22,24 +22,25 @@ log C are sums over the labels of an object.
 symbol    here
 ========  ==========================================================================================================
 v         share of an object's surface that was in view
-V         the share at which it tells: P(V ≤ v) is sens(v) if it is dirty, fp(v) if it is clean
+V         the share at which a label turns DIRTY: P(V ≤ v) is sens(v) for a dirty object, fp(v) for a clean one
 k         a piece of the surface, between two of the shares at which the curves are given
-h_k       P(V is in piece k, if it is in none before)
+h_k       P(V is in piece k | V is in no earlier piece)
 ========  ==========================================================================================================
 
 A curve is P(V ≤ v) = Σ_k c_k(v)·m_k, with c_k(v) the share of piece k that v covers and m_k = h_k·Π_{j<k} (1 − h_j)
-(what is left, Π_k (1 − h_k), is never found). It rises for any h in (0, 1), and each h is the expit of a free number.
+(the rest, Π_k (1 − h_k), is never found). It rises for any h in (0, 1), and each h is the expit of a free parameter.
 
 A look that shows v' > v finds something with probability (P(V ≤ v') − P(V ≤ v)) / (1 − P(V ≤ v)). The product over the
-looks at one object leaves P(v < V ≤ v') if the last one said DIRTY, and 1 − P(V ≤ v) if none did by v: intervals, as
-`halfseen.cell.calibration` takes them [Turnbull1976]_. By the prior a look in full view finds a stain on half of the
-dirty objects and something on a tenth of the clean ones, as likely in one part as in another, and so does lifting of
-the rest. How much of its surface an object shows in full view is no parameter. It is what the recorder counted.
+looks at one object is P(v < V ≤ v') if the last one said DIRTY, and 1 − P(V ≤ v) if none did by v. These are
+interval-censored data, as in `halfseen.cell.calibration` [Turnbull1976]_. Under the prior a look in full view finds a
+stain on half of the dirty objects and something on a tenth of the clean ones, with equal probability in each part; so
+does a look at the remaining surface by lifting. The share of its surface that an object shows in full view is not a
+parameter. It is read from the recorder's counts.
 
-**Which.** No likelihood chooses. What would tell the families apart is what looks said that showed nothing new, and a
-log says this only if its recorder took them for news. So the recorder has chosen: where a log counts what was seen of
-an object, looks that show no more are no news in it, and will be none to the policy that acts on such states; where it
-counts nothing, every look moved the log-odds, and will again.
+**Choice of the family.** The likelihood cannot choose. The families differ in labels of looks that show nothing new,
+and a log holds these only if its recorder treated them as news. So the recorder determines the family. Where a log
+counts the seen share of an object, looks that show nothing new are no news, and a policy must treat them so. Where it
+counts none, every look changed the log-odds, and will do so for the policy.
 """
 
 from dataclasses import dataclass
@@ -54,26 +55,26 @@ from halfseen.tables.evidence import Labels, Prior, least
 from halfseen.world.seeing import SAME_VIEW, AssumedSeeing, KnownSeeing, PersistentSeeing
 
 Theta = Float[np.ndarray, " k"]
-"""Of the independent family: logit of 2·(floor + gain) − 1, logit of (floor − ½) / (floor + gain − ½), log power; of
-the persistent one: logits of h, first of dirty objects, then of clean ones."""
+"""Independent family: logit of 2·(floor + gain) − 1, logit of (floor − ½) / (floor + gain − ½), log power; persistent
+family: logits of h, first of dirty objects, then of clean ones."""
 NUM_PARTS = 4
-"""Equal parts of what an object shows in full view at whose ends the curves are given; they are given at 1 too."""
+"""Number of equal parts of the surface in full view. Curves are given at the ends of the parts, and at 1."""
 FOUND = np.array([0.5, 0.1])
-"""Share of the dirty objects, and of the clean ones, that the prior takes a look in full view to find."""
+"""Prior share of dirty objects, and of clean ones, in which a look in full view finds something."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Family:
-    """Laws of the labels of objects, of which the share π (`dirty_share`) is dirty."""
+    """Laws of labels; a share π (`dirty_share`) of the objects is dirty."""
 
     labels: Labels
     dirty_share: float
 
     bounds: ClassVar[tuple[float, float]]
-    """Of each number of θ."""
+    """Bounds of each element of θ."""
 
     def fitted(self, prior: Prior) -> Theta:
-        """θ of the largest posterior density."""
+        """The posterior mode of θ."""
         return least(lambda theta: self.loss(theta, prior), prior.mode, [self.bounds] * len(prior.mode))
 
     def loss(self, theta: Theta, prior: Prior) -> tuple[float, Theta]:
@@ -86,19 +87,19 @@ class _Family:
 
 
 class Independent(_Family):
-    """Labels of which each is news; their accuracy is at least ½."""
+    """Labels that are each news; their accuracy is at least ½."""
 
     prior: ClassVar[Prior] = Prior(np.array([0.0, -3.0, 0.0]), np.array([1.5, 1.0, 0.5]))
-    """Right three times of four in full view, hardly better than a coin if hidden, straight between."""
+    """Three in four right in full view, barely better than chance if hidden, linear between."""
     bounds = (-8.0, 8.0)
 
     def law(self, theta: Theta) -> AssumedSeeing:
-        """The law of these numbers."""
+        """The law with parameters θ."""
         reach, floor, power = _shape(theta)
         return AssumedSeeing(float(0.5 + reach * floor), float(reach * (1.0 - floor)), float(power))
 
     def theta_of(self, law: KnownSeeing) -> Theta | None:
-        """The numbers of a law; None of one that is not of this family."""
+        """θ of a law; None for a law of the other family."""
         if not isinstance(law, AssumedSeeing):
             return None
         reach = float(law.floor) + float(law.gain) - 0.5
@@ -115,14 +116,14 @@ class Independent(_Family):
 
 
 def _shape(theta: Theta) -> tuple[np.float64, np.float64, np.float64]:
-    """What is above chance in full view, the share of it that is left if hidden, and the power."""
+    """Accuracy above chance in full view, the share of it that remains if hidden, and the power."""
     from scipy.special import expit
 
     return 0.5 * expit(theta[0]), expit(theta[1]), np.exp(theta[2])
 
 
 def _accuracy(theta: Theta, occlusion: Rows) -> tuple[Rows, Float[np.ndarray, "3 n"]]:
-    """Accuracy q of each label, and how each parameter changes it."""
+    """Accuracy q of each label, and its derivative by each parameter."""
     reach, floor, power = _shape(theta)
     shown = 1.0 - occlusion
     curve = shown**power
@@ -133,7 +134,7 @@ def _accuracy(theta: Theta, occlusion: Rows) -> tuple[Rows, Float[np.ndarray, "3
 
 
 def _of_objects(right: Rows, labels: Labels, dirty_share: float) -> tuple[float, Float[np.ndarray, " objects"]]:
-    """Log-likelihood of all objects, and P(DIRTY) of each given its labels and what was shown of it."""
+    """Log-likelihood of all objects, and P(DIRTY) of each given its labels and the result of washing."""
     from scipy.special import expit
 
     num_objects = 1 + labels.object.max(initial=-1)
@@ -146,22 +147,22 @@ def _of_objects(right: Rows, labels: Labels, dirty_share: float) -> tuple[float,
     was[0, labels.object[labels.was_dirty]], was[1, labels.object[labels.was_clean]] = True, True
     dirty, clean = np.log(dirty_share) + if_dirty, np.log1p(-dirty_share) + if_clean
     each = np.select([*was], [dirty, clean], np.logaddexp(dirty, clean))
-    # Numbers that no object has have neither labels nor truth, and add log 1.
+    # Unused object numbers have neither labels nor truth, and add log 1.
     return float(each.sum()), np.select([*was], [1.0, 0.0], expit(dirty - clean))
 
 
 class Intervals(NamedTuple):
-    """What is known of the share at which each of n objects tells."""
+    """Interval-censored shares V of n objects."""
 
     covered: Float[np.ndarray, "n pieces+1"]
-    """How much of each piece of the surface that share may lie in; the last column is "never"."""
+    """Share of each piece of the surface in which V may lie; the last column is "never"."""
     was_dirty: RowMask
     was_clean: RowMask
 
 
 @dataclass(frozen=True, eq=False)
 class Persistent(_Family):
-    """Labels that persist as long as the view does, with curves in `num_parts` of what shows in full view."""
+    """Labels that persist as long as the view, with curves in `num_parts` parts of the surface in full view."""
 
     num_parts: int = NUM_PARTS
 
@@ -169,10 +170,10 @@ class Persistent(_Family):
 
     @cached_property
     def facing(self) -> float:
-        """Share of the surface that an object in full view shows, as the recorder counted it; 1 where nothing tells.
+        """Share of the surface that an object in full view shows, as the recorder counted it; 1 if unknown.
 
-        It shows where a look at an object on the table found nothing: what counts as seen is then that share of what
-        was not hidden.
+        It is read from looks at objects on the table that found nothing: the seen share is then this share of the
+        visible part.
         """
         labels = self.labels
         is_new = labels.seen_after > labels.seen + SAME_VIEW
@@ -180,7 +181,7 @@ class Persistent(_Family):
         if not is_plain.any():
             return 1.0
         shares = labels.seen_after[is_plain] / (1.0 - labels.occlusion[is_plain])
-        # As exact as views are told apart: what was recorded has the rounding of its arithmetic.
+        # Rounded to the precision that distinguishes views: recorded values have rounding errors.
         return float(np.clip(np.round(np.median(shares), 6), SAME_VIEW, 1.0))
 
     @cached_property
@@ -190,18 +191,18 @@ class Persistent(_Family):
 
     @cached_property
     def prior(self) -> Prior:
-        """Prior of the curves, where nothing else is known."""
+        """Weak prior of the curves."""
         hazard = -np.expm1(np.log1p(-FOUND)[:, None] / self.num_parts)
         hazard = np.where(self.views <= self.facing, hazard, FOUND[:, None])
         return Prior((np.log(hazard) - np.log1p(-hazard)).ravel(), 1.5)
 
     @cached_property
     def _intervals(self) -> Intervals:
-        """What the labels of each object say together."""
+        """Intervals of V from all labels of each object."""
         _, from_end = np.unique(self.labels.object[::-1], return_index=True)
         last = Labels(*(values[::-1][from_end] for values in self.labels))
         in_view = np.where(last.is_held, 1.0, self.facing * (1.0 - last.occlusion))
-        # Where a look found nothing, what it showed is what the recorder counts as seen.
+        # Where a look found nothing, the recorder counts the part that it showed as seen.
         shown = np.where(last.says_dirty, in_view, last.seen_after)
         seen_by, shown_by = (_covered(share, self.views) for share in (last.seen, np.maximum(shown, last.seen)))
         inside = np.where(last.says_dirty[:, None], shown_by - seen_by, 1.0 - shown_by)
@@ -210,13 +211,13 @@ class Persistent(_Family):
         return Intervals(covered[is_possible], last.was_dirty[is_possible], last.was_clean[is_possible])
 
     def law(self, theta: Theta) -> PersistentSeeing:
-        """The law of these numbers."""
+        """The law with parameters θ."""
         curves = np.minimum(np.cumsum(masses(theta)[:, :-1], axis=1), 1.0)
         curves = np.maximum.accumulate(curves, axis=1)
         return PersistentSeeing(self.facing, tuple(self.views.tolist()), *(tuple(curve) for curve in curves.tolist()))
 
     def theta_of(self, law: KnownSeeing) -> Theta | None:
-        """The numbers of a law at the shares at which the curves are given; None of one of the other family."""
+        """θ of a law at the shares at which the curves are given; None for a law of the other family."""
         if not isinstance(law, PersistentSeeing):
             return None
         found = law.found_by(self.views)
@@ -232,7 +233,7 @@ class Persistent(_Family):
         is_excluded = np.column_stack([known.was_clean, known.was_dirty])
         share = np.where(is_excluded, 0.0, np.array([self.dirty_share, 1.0 - self.dirty_share]))
         likelihood = (share * (known.covered @ mass.T)).sum(axis=1)
-        # Objects that are dirty, and clean, and tell in each piece, as many as are to be expected.
+        # Expected numbers of dirty, and of clean, objects with V in each piece.
         count = mass * ((share / likelihood[:, None]).T @ known.covered)
         later = count.sum(axis=1, keepdims=True) - np.cumsum(count, axis=1)
         hazard = expit(theta.reshape(2, -1))
@@ -246,7 +247,7 @@ def _covered(share: Rows, views: Float[np.ndarray, " pieces"]) -> Float[np.ndarr
 
 
 def masses(theta: Theta) -> Float[np.ndarray, "2 parts"]:
-    """Probability that V lies in each piece, and that it is in none: of dirty objects, and of clean ones."""
+    """Probability that V lies in each piece, and in none, for dirty and for clean objects."""
     from scipy.special import log_expit
 
     theta = theta.reshape(2, -1)

@@ -1,31 +1,31 @@
-"""Does a log contradict the laws that were fitted to it? On the weighted log.
+"""Test of fitted laws on their own log, with censoring weights.
 
-**What a LIFT costs.** A world has one time of transport. A robot that turns what it LIFTs before its camera, or parks
-slowly, has several. Times matter to one robot by the price of a LIFT alone, so it is this that is made right: what
-LIFTs paid, beside what they were to pay under the laws, both weighted by δ / Ĝ(U⁻).
+**The price of a LIFT.** A world has one transport time. A robot that turns a lifted object before its camera, or parks
+slowly, has several. For one robot, times matter only through the price of a LIFT. So this price is corrected: the mean
+reward of LIFTs is compared with that expected under the laws, both weighted by δ / Ĝ(U⁻).
 
-**One robot.** By the residuals of eq. 3. Under the true laws Q°(S, A) = E[R + V°(S') | S, A]
+**One robot: residuals of eq. 3.** Under the true laws Q°(S, A) = E[R + V°(S') | S, A]
 (`halfseen.planners.one_step`), so that with w = δ / Ĝ(U⁻)
 
     Σ_t w_t · x(S_t, A_t) · (R_t + V°(S_{t+1}) − Q°(S_t, A_t))
 
-has mean 0 for each trajectory, whatever x is taken from (S, A). Sums over trajectories of some x are tested together by
-Hotelling's T² [Hotelling1931]_; trajectories, not stages, are independent. A law that takes each look for news, dirt
-that log-odds overstate or an object that never holds shows at once; what moves neither rewards nor what is left to
-gain changes no decision, and is not looked for.
+has mean 0 for each trajectory and any function x of (S, A). Sums for several x are tested jointly across trajectories
+by Hotelling's T² [Hotelling1931]_; trajectories, not stages, are independent. The test detects laws that treat every
+look as news, overconfident log-odds, and objects that never hold. Errors that affect neither rewards nor future gains
+change no decision, and are not tested.
 
-**A team.** By what ended in each stage. The value that a team's myopic look puts on what follows is no exact
-expectation, so that R + V(S') − Q(S, A) does not have mean 0 under true laws, as it has for one robot. What laws say of
-a single step is exact:
+**A team: outcomes of each stage.** A team's myopic look is not an exact expectation of the value of the next state. So
+R + V(S') − Q(S, A) does not have mean 0 under the true laws, as it has for one robot. Predictions of a single step are
+exact:
 
 =======  ============================================================================================================
-grasps   1{an attempt held} − P(it holds | what is known as it begins)
+grasps   1{an attempt held} − P(it holds | information at its beginning)
 dirt     1{an object that left the table was dirty} − P(DIRTY) just before
-labels   what a look moved P(DIRTY), summed over the objects that stay
+labels   change of P(DIRTY) by a look, summed over the objects that stay
 =======  ============================================================================================================
 
-Each has mean 0, weighted by δ / Ĝ(U⁻) of the stage in which it shows, times whatever is known before. Sums over
-trajectories are tested together by Hotelling's T². The last two are about the log-odds that the policy goes by.
+Each has mean 0 when weighted by δ / Ĝ(U⁻) of the stage of its outcome, and multiplied by anything known before. Sums
+are tested jointly across trajectories by Hotelling's T². The last two test the log-odds that the policy uses.
 """
 
 from dataclasses import replace
@@ -54,27 +54,27 @@ from halfseen.world.state import TableState, attempt_counts, occlusion
 
 
 class WeightedLog(NamedTuple):
-    """A log of tables, as far as it was seen."""
+    """A log of tables with censoring weights."""
 
     states: TableState
     """Axes (n, T)."""
     action: Int[np.ndarray, "n T"]
     reward: Float[np.ndarray, "n T"]
     weight: Float[np.ndarray, "n T"]
-    """δ / Ĝ(U⁻) by Kaplan and Meier's Ĝ."""
+    """δ / Ĝ(U⁻) with the Kaplan–Meier Ĝ."""
     is_last: Bool[np.ndarray, "n T"]
-    """Completed stages after which the trajectory had come to its own end."""
+    """Completed stages after which the trajectory ended by itself."""
 
 
 def weighted_log(logs: Logs, states: TableState, *, is_team: bool = False) -> WeightedLog | str:
-    """Weigh the stages of a log; or say why that cannot be."""
+    """Weight the stages of a log, or return the reason why that is impossible."""
     action = logged_actions(logs, states.horizon, states.num_objects, is_team=is_team)
     is_possible = np.ones((*action.shape, ActionSpace(states.num_objects).num_actions + is_team), dtype=bool)
     return weighed(trajectory_arrays(logs, Encoded(np.zeros((*action.shape, 1, 0)), is_possible, action), None), states)
 
 
 def weighed(trajectories: TrajectoryArrays, states: TableState) -> WeightedLog | str:
-    """Weigh the stages of a log that is laid out; or say why that cannot be."""
+    """Weight the stages of a log given as arrays, or return the reason why that is impossible."""
     targets = Weighted()
     try:
         weight = targets.weights(trajectories, targets.fit_cuts(trajectories.clocks))
@@ -84,13 +84,13 @@ def weighed(trajectories: TrajectoryArrays, states: TableState) -> WeightedLog |
 
 
 CLEARLY_PAID = 4.0
-"""Standard errors beyond which what LIFTs paid is not what the laws say."""
+"""Standard errors beyond which the rewards of LIFTs differ from those of the laws."""
 
 
 def with_lift_price(config: WorldConfig, log: WeightedLog) -> tuple[WorldConfig, str | None]:
-    """Scale the price of LIFTs to what they paid, where the laws clearly say otherwise.
+    """Scale the price of LIFTs to their rewards where these clearly differ from those of the laws.
 
-    Given are the laws with that price, and what was changed, in words; None if nothing was.
+    Returns the laws with that price, and the change in words; None if there was none.
     """
     space = ActionSpace(log.states.num_objects)
     at = np.nonzero((space.verb(log.action) == Verb.LIFT) & (log.weight > 0.0) & ~log.is_last)
@@ -110,12 +110,12 @@ def with_lift_price(config: WorldConfig, log: WeightedLog) -> tuple[WorldConfig,
 
 
 LEVEL = 0.02
-"""Probability with which right laws are taken for wrong ones, at most; of n trajectories at most 1/n, as wrong laws
-show the better, the longer the log."""
+"""Largest level of the test. With n trajectories it is at most 1/n, because wrong laws are easier to detect in a longer
+log."""
 
 
 class Residuals(NamedTuple):
-    """Of the completed stages, R rows."""
+    """Residuals of the completed stages, R rows."""
 
     trajectory: Int[np.ndarray, " R"]
     stage: Int[np.ndarray, " R"]
@@ -124,11 +124,11 @@ class Residuals(NamedTuple):
     residual: Float[np.ndarray, " R"]
     """R + V°(S') − Q°(S, A)."""
     described: Float[np.ndarray, "R 6"]
-    """Of the target: 1, P(DIRTY), occlusion, share seen, past failures; and the steps to go."""
+    """1; P(DIRTY), occlusion, seen share and past failures of the target; and the steps to go."""
 
 
 class LawTest(NamedTuple):
-    """What the residuals say of the laws."""
+    """Result of a test of laws."""
 
     statistic: float
     p_value: float
@@ -143,14 +143,14 @@ class LawTest(NamedTuple):
 
     @property
     def sentence(self) -> str:
-        """What was found."""
+        """The result in words."""
         z = ", ".join(f"{name} {of:+.1f}" for name, of in self.z.items())
         found = "contradicts" if self.is_rejected else "does not contradict"
         return f"the log {found} the laws (p = {self.p_value:.2g}; mean residuals in standard errors: {z})"
 
 
 def residuals_of(config: WorldConfig, log: WeightedLog) -> Residuals:
-    """Compute the residuals under some laws."""
+    """Compute the residuals of a log under laws."""
     at = np.nonzero(log.weight > 0.0)
     after = at[0], np.minimum(at[1] + 1, log.weight.shape[1] - 1)
     is_last = log.is_last[at]
@@ -181,15 +181,15 @@ def _ahead_at(config: WorldConfig, states: TableState, at: tuple[np.ndarray, ...
 
 
 FEWEST = 5
-"""Trajectories of which a column must differ from 0."""
+"""Fewest trajectories in which a tested column differs from 0."""
 USED = {Verb.FINISH: (0,), Verb.WASH: (0, 1, 2, 3, 4, 5), Verb.LIFT: (0, 2, 3, 5)}
-"""Which of the descriptions are tested, by verb."""
+"""Columns of `Residuals.described` that are tested, by verb."""
 
 
 def hotelling_test(found: Residuals, num_trajectories: int) -> LawTest:
-    """Test the laws: mean residuals of the verbs, and these with all that describes a target; both count (Bonferroni).
+    """Test the mean residuals of the verbs, and these times all descriptions of a target (Bonferroni for the two).
 
-    Few trajectories can tell little of many means, and many tell more by what residuals depend on.
+    The first test has more power with few trajectories, the second with many.
     """
     sums = {}
     for verb, used in USED.items():
@@ -210,13 +210,13 @@ def _sums(
 
 
 def _standardised(sums: dict[str, Float[np.ndarray, "n _"]]) -> dict[str, float]:
-    """The total of each first column, in its standard errors."""
+    """Total of each first column in its standard errors."""
     first = {name: each[:, 0] for name, each in sums.items()}
     return {name: float(each.sum() / max(np.sqrt((each**2).sum()), 1e-12)) for name, each in first.items()}
 
 
 def hotelling(each: Float[np.ndarray, "n k"]) -> tuple[float, float]:
-    """T² of the mean of rows being 0, and its p-value; columns that hardly ever differ from 0 are left out."""
+    """T² for a zero mean of the rows, and its p-value; columns that rarely differ from 0 are left out."""
     from scipy.special import fdtrc
 
     each = each[:, (each != 0.0).sum(axis=0) >= FEWEST]
@@ -224,30 +224,30 @@ def hotelling(each: Float[np.ndarray, "n k"]) -> tuple[float, float]:
     if num == 0 or n <= num + 2:
         return 0.0, 1.0
     mean, covariance = each.mean(axis=0), np.atleast_2d(np.cov(each.T))
-    # Columns that say the same count once.
+    # Linearly dependent columns count once.
     statistic = float(n * mean @ np.linalg.pinv(covariance, rcond=1e-8, hermitian=True) @ mean)
     rank = int(np.linalg.matrix_rank(covariance, rtol=1e-8, hermitian=True))
     return statistic, float(fdtrc(rank, n - rank, statistic * (n - rank) / (rank * (n - 1))))
 
 
 FEWEST_TRAJECTORIES = 80
-"""Trajectories below which nothing is tested: misses are rare, and T² of sums with such tails rejects too often."""
+"""Fewest trajectories for a test: misses are rare, and T² of such heavy-tailed sums rejects too often."""
 
 
 class Predicted(NamedTuple):
-    """What was other than foretold, in R places."""
+    """Prediction errors of the laws, R rows."""
 
     trajectory: Int[np.ndarray, " R"]
     residual: Float[np.ndarray, " R"]
-    """Weighted."""
+    """Weighted residual."""
     described: Float[np.ndarray, "R k"]
-    """What is known before; 1 first."""
+    """Information before the outcome; 1 first."""
 
 
 def tested_on_team(
     config: WorldConfig, logs: Logs, states: TableState, brought: Brought, weight: Float[np.ndarray, "n T"]
 ) -> LawTest:
-    """Test the laws.
+    """Test the laws on the log of a team.
 
     `weight` is δ / Ĝ(U⁻) of each stage; 0 where it was not completed.
     """
@@ -264,7 +264,7 @@ def tested_on_team(
 
 
 def _grasps(config: WorldConfig, logs: Logs, states: TableState, weight: Float[np.ndarray, "n T"]) -> Predicted:
-    """Of attempts whose end was seen; each counts by the weight of the stage in which it ended."""
+    """Prediction errors of completed attempts; each has the weight of the stage in which it ended."""
     tried: Any = attempts(logs)
     tried = tried[tried["is_finished"].to_numpy(dtype=bool)]
     row = rows_of_attempts(logs, tried)
@@ -291,7 +291,7 @@ def _ended_in(
     stage: Int[np.ndarray, " R"],
     robot: Int[np.ndarray, " R"],
 ) -> Int[np.ndarray, " R"]:
-    """The stage in which what a robot began came to its end: the last one before that in which it is free again."""
+    """Stage in which an attempt ended: the last one before the robot is free again."""
     assert states.robots is not None
     number = np.arange(weight.shape[1])
     is_stage = np.any(states.is_on_table, axis=-1)[trajectory]
@@ -301,7 +301,7 @@ def _ended_in(
 
 
 def _dirt(config: WorldConfig, states: TableState, brought: Brought, weight: Float[np.ndarray, "n T"]) -> Predicted:
-    """Of objects that left the table alone."""
+    """Prediction errors of objects that left the table as the only one of their stage."""
     at = np.nonzero(brought.goes_on & (brought.outcome[..., NUM_LEFT] == 1) & (weight > 0.0))
     target = brought.has_left[at].argmax(axis=-1)
     p = expit(states.log_odds[(*at, target)].astype(np.float64))
@@ -312,7 +312,7 @@ def _dirt(config: WorldConfig, states: TableState, brought: Brought, weight: Flo
 
 
 def _labels(states: TableState, brought: Brought, weight: Float[np.ndarray, "n T"]) -> Predicted:
-    """Of what stays on the table from one stage to the next."""
+    """Changes of P(DIRTY) of objects that stay on the table from one stage to the next."""
     p = np.where(states.is_on_table, expit(states.log_odds.astype(np.float64)), 0.0)
     stays: Bool[np.ndarray, "n T N"] = states.is_on_table & np.roll(states.is_on_table, -1, axis=1)
     moved = np.where(stays & brought.goes_on[..., None], np.roll(p, -1, axis=1) - p, 0.0)

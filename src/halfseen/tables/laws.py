@@ -1,13 +1,14 @@
-"""A world whose prices and laws were fitted to the log that a policy is learned from: what a fair planner knows.
+"""A world with prices and laws fitted to the same log as the policy: the knowledge of a fair planner.
 
-A planner that knows the true laws is an oracle; who runs a cell has no true law. She knows what she pays for, how many
-steps a trajectory may have, how long transport takes and when an attempt is given up; and she has the log. It tells of
-which family the laws are, too (`law_grasping`, `law_seeing`), and what nobody need say: prices and times.
+A planner that knows the true laws is an oracle; the operator of a cell does not know them. The operator knows the
+rewards, the most steps of a trajectory, the transport time and the limit of an attempt, and has the log. The log also
+determines the family of the laws (`law_grasping`, `law_seeing`). Prices and times can be read from it as well.
 
-*Prices of a team.* A stage pays for all that ends in it. Where no object left the table and the trajectory goes on, its
-reward is certain given how many WASHes failed, the seconds of the LIFTs that ended and its own: a regression tells
-their prices exactly. What is left over where one object left is what a dirty or a clean one pays; and where the last
-robot parked, what the objects cost that are left dirty. The last one to park alone takes what going home takes.
+*Prices of a team.* A stage pays for everything that ends in it. Where no object left the table and the trajectory
+continues, its reward is a deterministic function of the number of failed WASHes, the seconds of completed LIFTs and
+those of the stage: a regression recovers their prices exactly. Where one object left, the remaining reward is that of a
+dirty or a clean object. Where the last robot parked, it is the price of the objects left dirty. The duration of that
+last stage is the time of going home.
 """
 
 from dataclasses import replace
@@ -32,18 +33,18 @@ from halfseen.world.state import TableState
 IN_PLAIN_SIGHT = 0.05
 """Hidden share below which an object is in plain sight."""
 ENOUGH_LEFT = 5.0
-"""Dirty objects expected to be left, from which on FINISHes that paid nothing say that leaving them costs nothing."""
+"""Expected number of dirty objects left from which FINISHes without reward imply that leaving them is free."""
 ENOUGH_HELD = 20
-"""WASHes that held, from which on one reward of all of them is that of dirty objects and of clean ones."""
+"""Number of successful WASHes from which a single common reward is that of both dirty and clean objects."""
 SAME = 1e-3
-"""By how much multiples of a price may be off, in units of it; and below which a reward is taken for 0."""
+"""Tolerance for multiples of a price, in units of it; and for a reward that counts as 0."""
 
 
 def paid_in(logs: Logs, horizon: int, left: Rows) -> WorldConfig:
-    """Read prices and times off a log; what it does not tell is as `WorldConfig` has it.
+    """Read prices and times from a log; defaults are those of `WorldConfig`.
 
-    `horizon` is T, of each robot, and `left` counts the objects expected to be dirty on the table before each
-    stage. The laws are the assumed ones, whose limit of an attempt is that of the log.
+    `horizon` is T, of each robot, and `left` is the expected number of dirty objects on the table before each
+    stage. The laws are the assumed ones with the log's limit of an attempt.
     """
     known, stages = WorldConfig(horizon=horizon), logs.stages
     reward = stages["reward"].to_numpy(dtype=np.float64, na_value=np.nan)
@@ -78,9 +79,9 @@ def _durations(logs: Logs) -> Float[np.ndarray, " rows"]:
 
 
 def price_of_each(paid: Rows, left: Rows) -> float | None:
-    """Price of one object left dirty: what all that FINISH paid is a multiple of; else by regression.
+    """Price of one object left dirty: the common divisor of the rewards of FINISH, or else a regression.
 
-    None where too little was left to tell.
+    None where too few objects were left.
     """
     some = paid < 0.0
     if not some.any():
@@ -95,7 +96,7 @@ def price_of_each(paid: Rows, left: Rows) -> float | None:
 
 
 def _washed(logs: Logs, horizon: int, reward: Rows, action: np.ndarray, is_over: np.ndarray) -> dict[str, float]:
-    """Rewards of WASH: of what was dirty, of what was clean, and of a miss."""
+    """Rewards of WASH: of a dirty object, of a clean one, and of a miss."""
     tried: Any = attempts(logs, horizon)
     tried = tried[tried["is_finished"].to_numpy(dtype=bool)]
     row = rows_of_attempts(logs, tried)
@@ -109,9 +110,10 @@ def _washed(logs: Logs, horizon: int, reward: Rows, action: np.ndarray, is_over:
 
 
 def dirty_and_clean(paid: Rows) -> dict[str, float]:
-    """Rewards of what was dirty and of what was clean: the upper and the lower of those that WASHes paid.
+    """Rewards of dirty and of clean objects: the upper and the lower rewards of WASHes.
 
-    Where few all paid alike, what pays is of dirty objects, and what costs is of clean ones.
+    Where a few WASHes have one common reward, a positive one is that of dirty objects, a negative one that of clean
+    ones.
     """
     if not len(paid):
         return {}
@@ -125,13 +127,13 @@ def dirty_and_clean(paid: Rows) -> dict[str, float]:
 
 
 PRICE_ROUNDING = 1e-6
-"""Prices of a second nearer to 0 are 0."""
+"""Prices of a second below this count as 0."""
 
 
 def paid_in_team(logs: Logs, states: TableState) -> WorldConfig:
-    """Read prices, times and speeds off the log of a team; what it does not tell is as `WorldConfig` has it.
+    """Read prices, times and speeds from the log of a team; defaults are those of `WorldConfig`.
 
-    The laws are the assumed ones, whose limit of an attempt is that of the log; robot 0 has speed 1.
+    The laws are the assumed ones with the log's limit of an attempt; robot 0 has speed 1.
     """
     num_robots = states.num_robots
     known = WorldConfig(horizon=states.steps_to_go.shape[1] // num_robots, speed=(1.0,) * num_robots)
@@ -145,7 +147,7 @@ def paid_in_team(logs: Logs, states: TableState) -> WorldConfig:
 
 
 def _certain(brought: Brought) -> dict[str, float]:
-    """Prices of a failed WASH, a second of a LIFT, and one of the clock."""
+    """Prices of a failed WASH, of a second of a LIFT, and of a second of the clock."""
     names = {FAILED: "reward_wash_failed", LIFTED_S: "reward_lift_per_s", LASTED_S: "reward_per_s"}
     outcome = brought.outcome[brought.goes_on & (brought.outcome[..., NUM_LEFT] == 0)]
     priced = [column for column in names if np.any(outcome[:, column] != 0.0)]
@@ -163,7 +165,7 @@ def _certain(brought: Brought) -> dict[str, float]:
 def _last_to_park(
     brought: Brought, states: TableState
 ) -> tuple[Bool[np.ndarray, "n T"], dict[int, Float[np.ndarray, " k"]]]:
-    """Completed stages in which the last robot went home, and how long each robot took for that [s]."""
+    """Completed stages in which the last robot went home, and the times that each robot took [s]."""
     robots, decider = states.robots, states.decider
     assert robots is not None
     assert decider is not None
@@ -174,17 +176,17 @@ def _last_to_park(
 
 
 def _left(brought: Brought, known: WorldConfig, is_last: Bool[np.ndarray, "n T"]) -> dict[str, float]:
-    """Price of an object that is left dirty."""
+    """Price of an object left dirty."""
     if not is_last.any():
         return {}
-    # Nothing has left the table in such a stage, whose reward beside its seconds is the price of what is left.
+    # No object left the table in such a stage; its reward without that of its seconds is the price of those left.
     paid = brought.reward[is_last] - known.reward_per_s * brought.outcome[is_last, LASTED_S]
     price = price_of_each(np.where(np.abs(paid) < SAME, 0.0, paid), brought.outcome[is_last, DIRT_BEFORE])
     return {} if price is None else {"reward_dirty_left": price}
 
 
 def _times(home_s: dict[int, Float[np.ndarray, " k"]], num_robots: int) -> dict[str, object]:
-    """Seconds of going home, and how fast each robot is beside robot 0; 1 where it does not show."""
+    """Seconds of going home, and the speed of each robot relative to robot 0; 1 where unknown."""
     each = [float(np.median(home_s[k])) if len(home_s[k]) else np.nan for k in range(num_robots)]
     if np.isnan(each).all():
         return {}
@@ -194,7 +196,7 @@ def _times(home_s: dict[int, Float[np.ndarray, " k"]], num_robots: int) -> dict[
 
 
 def _limit_s(logs: Logs, known: WorldConfig) -> float | None:
-    """Longest attempt without its transport, as robot 0 would take [s]."""
+    """Longest attempt without its transport, at the speed of robot 0 [s]."""
     tried: Any = attempts(logs)
     tried = tried[tried["is_finished"].to_numpy(dtype=bool)]
     if not len(tried):
@@ -205,9 +207,9 @@ def _limit_s(logs: Logs, known: WorldConfig) -> float | None:
 
 
 def fit_world(logs: Logs, known: WorldConfig) -> WorldConfig:
-    """Fit laws of grasping and seeing to a log, under censoring, each by maximum likelihood.
+    """Fit laws of grasping and seeing to a log under censoring, each by maximum likelihood.
 
-    Of each there are two families, and the log chooses (`halfseen.tables.laws`): `AssumedGrasping` or
+    Each law has two families, and the log determines which is used (`halfseen.tables.laws`): `AssumedGrasping` or
     `FittedGrasping`, `AssumedSeeing` or `PersistentSeeing`.
 
     Parameters
@@ -215,13 +217,12 @@ def fit_world(logs: Logs, known: WorldConfig) -> WorldConfig:
     logs
         A log of tables.
     known
-        Of which rewards, horizon, transport_s and the limit of an attempt are kept. Its laws are not looked at, and may
-        be any.
+        World whose rewards, horizon, transport_s and limit of an attempt are kept. Its laws are ignored.
 
     Returns
     -------
     WorldConfig
-        With the fitted laws, and the share of dirty objects as `logged_dirty_share` reads it.
+        `known` with the fitted laws, and the share of dirty objects from `logged_dirty_share`.
 
     Raises
     ------
@@ -242,23 +243,23 @@ def fit_world(logs: Logs, known: WorldConfig) -> WorldConfig:
 
 
 def fitted_to(evidence: Evidence, known: WorldConfig) -> WorldConfig:
-    """Fit the laws to what a log tells of them."""
+    """Fit the laws to the evidence of a log."""
     return fitted_laws(evidence, known).config
 
 
 class FittedLaws(NamedTuple):
-    """A world with laws that were fitted to a log, and what became of the recorder's."""
+    """A world with laws fitted to a log, and whether the recorder's law of seeing is kept."""
 
     config: WorldConfig
     is_mended: bool
-    """Whether the log's own log-odds are not to be trusted."""
+    """Whether the log's own log-odds are wrong and are recomputed."""
     sentence: str
 
 
 def fitted_laws(evidence: Evidence, known: WorldConfig, prior: WorldConfig | None = None) -> FittedLaws:
-    """Fit the laws to what a log tells of them.
+    """Fit the laws to the evidence of a log.
 
-    `known` is as `fit_world` takes it; the laws are fitted about `prior`, None for weak priors.
+    `known` is as in `fit_world`; `prior` centres the priors, None for weak ones.
     """
     limit_s, labels = float(known.grasping.limit_s), evidence.labels
     grasping = choose_grasping(evidence.tried, limit_s, None if prior is None else prior.grasping)
@@ -280,7 +281,7 @@ def fitted_laws(evidence: Evidence, known: WorldConfig, prior: WorldConfig | Non
 
 
 def laws_in_words(laws: FittedLaws, tried: Watched) -> str:
-    """Say what fitted laws amount to for the attempts of their log, and for a first look."""
+    """Describe the predictions of fitted laws for the attempts of their log, and for a first look."""
     config: Any = laws.config
     grip = prior_grip(tried.grip.astype(np.float32))
     chance = grasp_probability(config, tried.occlusion.astype(np.float32), grip)

@@ -1,15 +1,15 @@
-"""The learners of tables: model-assisted censored Q-learning, of one robot or of a team one robot at a time.
+"""The learners of tables: model-assisted censored Q-learning, for one robot or for a team one robot at a time.
 
-1. *Laws*, and of a team prices, fitted to the log under censoring (`laws`).
-2. *Q = look + E*: the look one step ahead under them, and what it misses (`excess`).
-3. *Does the log contradict the laws?* Tested on the weighted log (`law_test`). Where it does, the policy of one robot
-   is the rule of thumb that relies on them least, or linear eq. 3 where the log clearly speaks for it; that of a team
-   is what it learns without laws: each alone, and one Q for the team upon it.
+1. *Laws*, and for a team prices, are fitted to the log under censoring (`laws`).
+2. *Q = look + E*: the one-step look-ahead under these laws, and its error (`excess`).
+3. *Does the log contradict the laws?* This is tested on the weighted log (`law_test`). If so, the policy of one robot
+   is the heuristic that relies least on the laws, or linear eq. 3 where the log clearly supports it. The policy of a
+   team is then the one learned without laws: a separate policy for each robot, improved by one Q for the team.
 
-*Which of two policies a log speaks for.* Q of each policy is fitted by eq. 3 with its own action in place of the best
-one, in the linear class without laws, to all trajectories and to all but each of some groups; the delete-a-group
-jackknife tells the standard error of the difference of their values. Importance ratios of whole trajectories would say
-nothing here: each deviation from what was logged divides by a probability of some 3 %.
+*Comparing two policies on a log.* Q of each policy is fitted by eq. 3 with the policy's action in place of the best
+one. It is linear, without laws, and fitted to all trajectories and to all but each of some groups. The delete-a-group
+jackknife estimates the standard error of the difference of the two values. Importance weights of whole trajectories
+are useless here: each deviation from the logged action divides by a probability of about 3 %.
 """
 
 from collections.abc import Callable
@@ -49,25 +49,25 @@ from halfseen.world.state import Layout, TableState
 
 MODEL, RULE, LINEAR = "model", "rule", "linear"
 KNOWN = ("FINISH", "WASH", "LIFT")
-"""Verbs that laws say something of."""
+"""Verbs that the laws cover."""
 NUM_GROUPS = 8
 """Groups of trajectories of the jackknife."""
 GAIN_LEVEL = 0.99
-"""Of its one-sided bound."""
+"""Level of its one-sided confidence bound."""
 FEWEST_TO_CHOOSE = 20
-"""Trajectories below which nothing is chosen by them."""
+"""Fewest trajectories for comparing policies."""
 UNPRICED_PER_ROBOT_S = 0.018
-"""At which a second of each of several robots is counted where the log pays nothing for time [1/s]. Counted as
-nothing, they wait for whatever may still be seen and try what hardly pays: two take .65 of the seconds of one, where a
-little less reward lets them take .52."""
+"""Price of a second of each of several robots where the log does not price time [1/s]. At price 0 robots wait for
+whatever may still be revealed and try what hardly pays: two robots take .65 of the time of one. At this price they take
+.52, for slightly less reward."""
 
 
 class Assisted(NamedTuple):
-    """What was learned with the help of laws."""
+    """Result of model-assisted learning."""
 
     policy: Policy
     basis: str
-    """What it is built on: the model, a rule, or linear eq. 3 without laws."""
+    """Basis of the policy: the model, a rule, or linear eq. 3 without laws."""
     laws: FittedLaws
     test: law_test.LawTest
     sentences: tuple[str, ...]
@@ -75,24 +75,24 @@ class Assisted(NamedTuple):
 
 @dataclass(eq=False, repr=False)
 class TableLearner(CensoredQLearner):
-    """Learns a policy of tables from logs of which some were cut, with the help of laws fitted to the same log.
+    """Learns a policy of tables from logs with cut trajectories, assisted by laws fitted to the same log.
 
     Parameters
     ----------
     horizon, actions, covariates, q_function, censoring, stages, reg, pessimism, random_state
-        As of `CensoredQLearner`: linear eq. 3 without laws, which is learned beside, and decides where the log
-        contradicts the laws and, of one robot, speaks for it.
+        As in `CensoredQLearner`, for linear eq. 3 without laws. It is learned as well, and decides where the log
+        contradicts the laws and, for one robot, supports it.
     world
-        What is known of prices and times; None to read them off the log. Its laws are not looked at.
+        Known prices and times; None to read them from the log. Its laws are ignored.
     prior_law
-        Laws about which those of the log are fitted, such as a cell's own; None for weak priors.
+        Laws at which the prior is centred, such as a cell's own; None for weak priors.
 
     Attributes
     ----------
     assisted_ : Assisted or None
-        The laws, what the log says of them, and what the policy is built on; None where none can be fitted.
+        The laws, their test on the log, and the basis of the policy; None if no laws can be fitted.
     linear_policy_ : LinearTablePolicy or LinearTeamPolicy
-        What linear eq. 3 learns without laws.
+        Policy of linear eq. 3 without laws.
     """
 
     _: KW_ONLY
@@ -104,12 +104,12 @@ class TableLearner(CensoredQLearner):
 
     @in_one_thread
     def fit(self, logs: Logs | LogStream, workers: Workers | None = None) -> "TableLearner":
-        """Learn from a log; of a `LogStream`, the laws from a sample of its trajectories.
+        """Learn from a log; for a `LogStream`, the laws are fitted to a sample of its trajectories.
 
         Raises
         ------
         ArgumentError, LogError, PositivityError
-            As of `CensoredQLearner.fit`.
+            As in `CensoredQLearner.fit`.
         """
         super().fit(logs, workers)
         self.linear_policy_ = self.policy_
@@ -120,14 +120,14 @@ class TableLearner(CensoredQLearner):
             self.assisted_, self.chosen_ = None, (*self.chosen_, f"Q is linear eq. 3 without laws: {error}")
             return self
         self.assisted_, self.policy_ = found, found.policy
-        # What was chosen for linear eq. 3 matters where that decides.
+        # Choices made for linear eq. 3 matter only where it decides.
         self.chosen_ = (*(self.chosen_ if found.basis == LINEAR else ()), *found.sentences)
         return self
 
     def _assisted(self, logs: Logs) -> Assisted:
         found = assisted_by_laws(logs, self.model_, self.policy_, self.world, self.prior_law)
         assert self.model_.support is not None
-        # A verb that was never completed is never taken, whatever laws imply for it.
+        # A verb that was never completed is never taken, whatever the laws imply.
         seen = np.any(self.model_.support.is_seen(self.model_.stages), axis=0)
         if seen.all() or not isinstance(found.policy, AssistedPolicy):
             return found
@@ -137,17 +137,17 @@ class TableLearner(CensoredQLearner):
 def assisted_by_laws(
     logs: Logs, model: QModel, linear: Policy, known: WorldConfig | None = None, prior: WorldConfig | None = None
 ) -> Assisted:
-    """Fit laws to a log, and learn with their help.
+    """Fit laws to a log, and learn a policy with them.
 
-    `model` is that of linear eq. 3, fitted to the log but for Q, and `linear` what that learns; `known` and `prior`
-    are as `TableLearner` takes them.
+    `model` is that of linear eq. 3, fitted to the log except for Q, and `linear` its policy; `known` and `prior` are
+    `world` and `prior_law` of `TableLearner`.
 
     Raises
     ------
     ArgumentError
-        There is a verb of which no law says what comes of it.
+        No law covers some verb.
     LogError
-        The log breaks a rule of tables, or does not tell what became of its attempts.
+        The log breaks a rule of tables, or the outcome of an attempt is unknown.
     """
     unknown = [verb.name for verb in Verb if verb.name not in KNOWN]
     if unknown:
@@ -175,10 +175,10 @@ def assisted_by(
     without: Callable[[RulePolicy], "Chosen"],
     prior: WorldConfig | None = None,
 ) -> Assisted:
-    """Learn from what a log tells of laws, and test them on it: what `assisted_by_laws` does once all is read.
+    """Fit laws to the evidence of a log, test them, and learn a policy: the part of `assisted_by_laws` after reading.
 
-    `log` is that on which the laws are tested, or says why they cannot be; trajectories began with `layouts`.
-    Prices and times must be `known`. `without` is given the rule of thumb, and chooses what the policy is where the
+    `log` is the log on which the laws are tested, or the reason why they cannot be tested. Trajectories began with
+    `layouts`. `known` holds prices and times. `without` is called with the heuristic, and chooses the policy where the
     log contradicts the laws.
     """
     laws = fitted_laws(evidence, known, prior)
@@ -201,7 +201,7 @@ def assisted_by(
 
 
 class Chosen(NamedTuple):
-    """What the policy is where the log contradicts the laws, what it is built on, and a sentence on why."""
+    """The policy where the log contradicts the laws, its basis, and a sentence that gives the reason."""
 
     policy: Policy
     basis: str
@@ -211,7 +211,7 @@ class Chosen(NamedTuple):
 def rule_or_linear(
     rule: RulePolicy, linear: Policy, model: QModel, trajectories: TrajectoryArrays, states: TableState
 ) -> Chosen:
-    """The rule, or linear eq. 3 where the log clearly speaks for that."""
+    """Choose the rule, or linear eq. 3 where the log clearly supports it."""
     gain, low = gain_of(linear, rule, model, trajectories, states)
     if low > 0.0:
         why = f"the policy is linear eq. 3 without laws: it is worth {gain:.2g} more than the rule (at least {low:.2g})"
@@ -226,7 +226,7 @@ def rule_or_linear(
 def gain_of(
     policy: Policy, over: Policy, model: QModel, trajectories: TrajectoryArrays, states: TableState
 ) -> tuple[float, float]:
-    """By how much a policy is worth more than another, and the lower bound of it; the rest as of `rule_or_linear`."""
+    """Gain in value of one policy over another, and its lower confidence bound; the rest as in `rule_or_linear`."""
     from scipy.special import stdtrit
 
     if trajectories.num_trajectories < FEWEST_TO_CHOOSE:
@@ -243,7 +243,7 @@ def gain_of(
 def _values(
     policy: Policy, model: QModel, trajectories: TrajectoryArrays, states: TableState, group: np.ndarray
 ) -> Float[np.ndarray, "G1 n"]:
-    """V̂_1(S_1) of every trajectory, by Qs that were fitted without each group, and last to all."""
+    """V̂_1(S_1) of every trajectory, by Q fitted without each group and, last, to all."""
     log = model.transitions(trajectories)._replace(policy=table_probabilities(policy, states))
     regression = replace(model, pessimism=0.0).regression(*log.is_possible.shape[::2])
     found = []
@@ -256,12 +256,12 @@ def _values(
 
 @dataclass(eq=False, repr=False)
 class TeamLearner(TableLearner):
-    """Learns a policy of a team; all that `TableLearner` takes, and more.
+    """Learns a policy of a team; it takes all parameters of `TableLearner`, and one more.
 
     Parameters
     ----------
     unpriced_per_robot_s
-        At which a second of each of several robots is counted where the log pays nothing for time; 0 or above [1/s].
+        Price of a second of each of several robots where the log does not price time, ≥ 0 [1/s].
     """
 
     _: KW_ONLY
@@ -293,10 +293,10 @@ class TeamLearner(TableLearner):
 def team_laws(
     logs: Logs, states: TableState, known: WorldConfig | None = None, prior: WorldConfig | None = None
 ) -> FittedLaws:
-    """Fit laws and prices to the log of a team, and say what became of the recorder's law of seeing.
+    """Fit laws and prices to the log of a team, and report whether the recorder's law of seeing is kept.
 
-    Log-odds are left as they were recorded, and the law that made them goes with them, whatever labels say: what both
-    are worth is tested on the log, with all else.
+    The recorded log-odds are kept, together with the law that produced them, even where labels contradict it. Both are
+    tested on the log with the other laws.
     """
     known = paid_in_team(logs, states) if known is None else known
     evidence = evidence_of(logs, known)

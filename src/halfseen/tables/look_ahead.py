@@ -1,29 +1,29 @@
-"""What E looks at, which learns what the look one step ahead misses: numbers of a belief under known laws.
+"""Features of E, the error of the one-step look-ahead, computed from a belief under known laws.
 
-The look (`halfseen.planners.one_step`) values what lies beyond one attempt by a rule that leaves each object or tries
-it once. What it misses depends on what there is to be tried, what may yet be revealed, and how scarce steps are. All
-numbers follow from the look itself:
+The look-ahead (`halfseen.planners.one_step`) values the stages beyond one attempt by a rule that leaves each object or
+tries it once. Its error depends on which objects are worth trying, what may still be revealed, and how scarce steps
+are. All features follow from the look-ahead itself:
 
 ===============  ===================================================================================================
-gain             (worth of a WASH now)₊, penalty that it avoids included
+gain             (value of a WASH now)₊, including the penalty that it avoids
 scarce           by how much the objects worth a WASH outnumber the steps to go
-reveal           what the others are worth more to be tried, after the next look, once the target is gone
-around           the same where it is held up, and put back
-own              what the target is worth more to be tried, once it was held up
-bare             what the target hides of others, times how doubtful and unseen they are
+reveal           increase in the gains of the others after the next look, if the target is removed
+around           the same if it is held up and put back
+own              increase in the gain of the target after it was held up
+bare             shares of others that the target hides, times their doubt and unseen share
 ===============  ===================================================================================================
 
-E of a team looks at what the myopic look makes of each action, and what follows it on the team's table:
+E of a team uses the values of the myopic look, and the team's table after each action:
 
 =====================  ==============================================================================================
-1                      by verb, WAIT among them
-short, near            by verb: what the myopic look takes the action to fall short of the best, and (short + 1)₊
-what follows           the numbers of `features.team_features`: what is under way, what the team can still
-                       clear, who reaches it, and for how long all will be busy
+1                      by verb, including WAIT
+short, near            by verb: shortfall of the action from the best in the myopic look, and (short + 1)₊
+table afterwards       the features of `features.team_features`: attempts under way, objects that the team can
+                       still clear, their reach, and how long all robots will be busy
 =====================  ==============================================================================================
 
-With one robot the look at what labels may still reveal told E what it needed. With several the schedule matters as
-much, of which the myopic look knows only that a second is shared.
+For one robot, features of what labels may still reveal are sufficient. For several the schedule matters as much, and
+the myopic look accounts only for shared seconds.
 """
 
 from typing import NamedTuple
@@ -40,24 +40,24 @@ from halfseen.world.config import WorldConfig
 from halfseen.world.state import TableState
 
 EXCESS_VERSION = 1
-"""Coefficients mean nothing beside other features: raise this number whenever a feature changes."""
+"""Coefficients are valid only for their own features: increase this number whenever a feature changes."""
 NUM_TABLE, NUM_OWN = 14, 30
 NUM_EXCESS_FEATURES = NUM_TABLE + NUM_OWN
 ZERO, ONE, _TINY = np.float32(0.0), np.float32(1.0), np.finfo(np.float32).tiny
 
 
 class Ahead(NamedTuple):
-    """The look ahead from some beliefs, the axes *B of a batch last."""
+    """The look-ahead from some beliefs; batch axes *B come last."""
 
     table: Table
     look: Outlook
     values: Float[Array, "2 C *B"]
-    """Q_1 and Q° of WASH and LIFT of each object above leaving all; −∞ of what is not there."""
+    """Q_1 and Q° of WASH and LIFT of each object above leaving all; −∞ for absent objects."""
     control: Float[Array, "*B"]
     """V° above leaving all."""
     of_table: Float[Array, " 14 *B"]
     own: Float[Array, "30 2 N *B"]
-    """Of WASH and of LIFT of each object; 0 of what is not there."""
+    """Features of WASH and of LIFT of each object; 0 for absent objects."""
 
     @property
     def one_step(self) -> Float[Array, " C *B"]:
@@ -66,7 +66,7 @@ class Ahead(NamedTuple):
 
 
 def ahead_of(config: WorldConfig, table: Table) -> Ahead:
-    """Look ahead, and describe what is seen."""
+    """Look ahead, and compute the features."""
     look = one_step.outlook_of(config, table)
     each = one_step.tries_then(config, look, (ZERO,))
     values = one_step.values_by(config, table, look, each)
@@ -75,7 +75,7 @@ def ahead_of(config: WorldConfig, table: Table) -> Ahead:
 
 
 class _Objects(NamedTuple):
-    """What the look ahead makes of each object; 0 of what is not there."""
+    """Results of the look-ahead for each object; 0 for absent objects."""
 
     worth: Float[Array, " N *B"]
     gain: Float[Array, " N *B"]
@@ -92,9 +92,9 @@ class _Objects(NamedTuple):
     second: Float[Array, " N *B"]
     lift_net: Float[Array, " N *B"]
     total: Float[Array, "*B"]
-    """Of all gains."""
+    """Sum of all gains."""
     wanted: Float[Array, "*B"]
-    """How many are worth a WASH."""
+    """Number of objects worth a WASH."""
     scarce: Float[Array, "*B"]
 
 
@@ -141,11 +141,11 @@ def _objects(config: WorldConfig, table: Table, look: Outlook, gains: Float[Arra
 def _described(
     config: WorldConfig, table: Table, look: Outlook, gains: Float[Array, "2 M N *B"], values: Float[Array, "2 C *B"]
 ) -> tuple[Float[Array, " 14 *B"], Float[Array, "30 2 N *B"]]:
-    """Features of the table, and those of its own for each target."""
+    """Features of the table, and features of each verb and target."""
     xp, there = library_of(values), table.is_there
     each = _objects(config, table, look, gains)
     above, control = (of_row.reshape(2, *there.shape) for of_row in values)
-    # What is not there has no features; one product for all is faster than one for each.
+    # Absent objects have zero features; one product for all is faster than one for each.
     by_target = xp.stack(_of_target(table, each))[:, None]
     by_target = xp.broadcast_to(by_target, (len(by_target), *above.shape))
     of_verb = xp.stack(_of_verb(there, above, control, each.total))
@@ -213,7 +213,7 @@ def _of_verb(
     control: Float[Array, "2 N *B"],
     total: Float[Array, "*B"],
 ) -> list[Float[Array, "2 N *B"]]:
-    """How far each action falls short of the best, and goes beyond what may be had without it."""
+    """Shortfall of each action from the best, and its value beyond that of the gains without it."""
     xp = library_of(above)
     best, second_best = _best_two(above)
     short, beyond = (xp.where(there, each, ZERO) for each in (above - best, control - total))
@@ -222,7 +222,7 @@ def _of_verb(
 
 
 def _best_two(above: Float[Array, "2 N *B"]) -> tuple[Float[Array, "*B"], Float[Array, "*B"]]:
-    """The best and the second best of all actions, FINISH among them, which is worth 0."""
+    """Best and second-best value of all actions, including FINISH, whose value is 0."""
     xp = library_of(above)
     flat = above.reshape(-1, *above.shape[2:])
     first = flat.argmax(axis=0)
@@ -233,15 +233,15 @@ def _best_two(above: Float[Array, "2 N *B"]) -> tuple[Float[Array, "*B"], Float[
 
 
 TEAM_EXCESS_VERSION = 1
-"""Coefficients mean nothing beside other features: raise this number whenever a feature changes."""
+"""Coefficients are valid only for their own features: increase this number whenever a feature changes."""
 NUM_VERBS = len(VERB_NAMES)
 NUM_TEAM_EXCESS_FEATURES = 3 * NUM_VERBS + NUM_TEAM_FEATURES
 
 
 def team_described(state: TableState, q: Float[Array, "*B A"]) -> Float[Array, "*B A F"]:
-    """Describe every action of the robot that decides.
+    """Features of every action of the deciding robot.
 
-    `q` is what the myopic look makes of each; −∞ where it is impossible.
+    `q` holds the values of the myopic look; −∞ where an action is impossible.
     """
     xp = library_of(q)
     verb = np.append(ActionSpace(state.num_objects).verbs, WAIT)

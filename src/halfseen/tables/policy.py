@@ -1,7 +1,7 @@
-"""A learned Q of tables as a policy: coefficients, and nothing of the learner; and what policies would have done.
+"""Policies of tables with a learned linear Q, without the learner; and action probabilities of any policy.
 
-K robots share one table; a state without robots is of one that works alone. Q is linear in the features of an action
-(`halfseen.tables.features`), with one block of coefficients for each verb, or one for all.
+K robots share one table; a state without robots is that of a single robot. Q is linear in the features of an action
+(`halfseen.tables.features`), with one block of coefficients for each verb, or one for all verbs.
 """
 
 from collections.abc import Callable, Sequence
@@ -26,23 +26,23 @@ from halfseen.world.state import TableState
 
 @record
 class _LinearPolicy(ByValue):
-    """argmax over possible actions of Q̂_h(S, a), with h the steps to go; with pessimism, less a margin.
+    """argmax over possible actions of Q̂_h(S, a), with h the steps to go; with pessimism, of Q̂ minus a margin.
 
     Parameters
     ----------
     coefficients
-        Of Q_1 … Q_T, by steps to go, block and feature (offset first). Axes in front are of policies; they come before
-        those of the states in what is told of these.
+        Of Q_1 … Q_T, by steps to go, block and feature (offset first). Leading axes index policies; in results they
+        precede the axes of the states.
     grasp
-        What tells the probability of a grasp in the features; None for the rule of succession.
+        Model of the probability of a grasp in the features; None for the rule of succession.
     kernel_map
         Features of the RKHS; None where Q is linear in the features of the table.
     is_seen
-        Which verbs have a value, by steps to go: those that the log has seen completed; None for all.
+        Which verbs have a value, by steps to go: those that were completed in the log; None for all.
     margin
         M by steps to go and block: the lower confidence bound is Q̂ − ‖Mᵀ (1, features)‖; None without pessimism.
     behaviour
-        Coefficients of the behaviour policy on the features of the table, the offset first; None if not known.
+        Coefficients of the behaviour policy on the features of the table, offset first; None if unknown.
     """
 
     coefficients: Float[Array, "*P T K F"]
@@ -53,9 +53,9 @@ class _LinearPolicy(ByValue):
     behaviour: Float[Array, "K G"] | None = None
 
     def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
-        """Q of every action, −∞ where an action is not to be chosen from.
+        """Q of every action; −∞ where an action may not be chosen.
 
-        With pessimism, less its margin, which counts less, the more the log takes the action anyway.
+        With pessimism, minus its margin, which is reduced for actions that the behaviour policy prefers.
         """
         allowed, to_go = self._allowed(state), self._to_go(state)
         coefficients = library_of(self.coefficients, to_go).take(self.coefficients, to_go, axis=-3)
@@ -73,7 +73,7 @@ class _LinearPolicy(ByValue):
         return library_of(q).where(allowed, q, np.float32(-np.inf))
 
     def estimates(self, state: TableState) -> Float[Array, "*B A"]:
-        """Q̂ of every action, without any margin; −∞ where an action is not to be chosen from."""
+        """Q̂ of every action, without any margin; −∞ where an action may not be chosen."""
         return replace(self, margin=None).q_values(state)
 
     def deviations(self, state: TableState) -> Float[Array, "*B A F"]:
@@ -96,7 +96,7 @@ class _LinearPolicy(ByValue):
         return features if self.kernel_map is None else self.kernel_map(features)
 
     def _to_go(self, state: TableState) -> Int[Array, "*B"]:
-        """Which Q of the T: of the steps to go, or of the decisions to go of all robots together."""
+        """Index of Q among the T: by steps to go, or by the decisions to go of all robots together."""
         if state.robots is None:
             return state.steps_to_go - 1
         xp, each = library_of(state.robots.decisions_to_go), state.robots.decisions_to_go
@@ -119,26 +119,26 @@ class _LinearPolicy(ByValue):
 
 @record
 class LinearTablePolicy(_LinearPolicy):
-    """Decides for one robot that works alone; one block of coefficients a verb."""
+    """Decides for a single robot; one block of coefficients for each verb."""
 
     num_robots: ClassVar[int] = 1
 
 
 @record
 class LinearTeamPolicy(_LinearPolicy):
-    """Decides for the robot of several that is free; one block of coefficients for all verbs.
+    """Decides for the free robot of a team; one block of coefficients for all verbs.
 
-    Where Q̂ is that of a base policy, the base decides unless the maximum of Q̂ is worth more than the base's own
-    action by more than `caution`: one step of policy iteration, one robot at a time, that Q̂'s errors are not to undo.
+    Where Q̂ is that of a base policy, the base decides unless the maximum of Q̂ exceeds the value of its action by more
+    than `caution`: one step of policy iteration, one robot at a time. The caution guards it against errors of Q̂.
 
     Parameters
     ----------
     num_robots
-        For how many robots it was learned; None if nobody said so.
+        Number of robots for which it was learned; None if unknown.
     base
-        The policy of a team whose Q this is; None if it is that of the best.
+        The team policy whose Q this is; None if it is the Q of the best policy.
     caution
-        By how much another action must be better than that of `base`, in units of reward.
+        Least gain over the action of `base` that another action must have [reward].
     """
 
     num_robots: int | None = field(default=None, metadata=STATIC)
@@ -147,11 +147,11 @@ class LinearTeamPolicy(_LinearPolicy):
 
     @property
     def num_stages(self) -> int:
-        """Decisions of all robots together, for which it was learned."""
+        """Number of decisions of all robots together for which it was learned."""
         return len(self.coefficients)
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose; deterministic."""
+        """Choose an action, deterministically."""
         q = self.q_values(state)
         xp = library_of(q)
         best = xp.argmax(q, axis=-1)
@@ -162,7 +162,7 @@ class LinearTeamPolicy(_LinearPolicy):
 
 
 def verbs_of(state: TableState) -> Int[np.ndarray, " A"]:
-    """Verb of each action; WAIT, which is last, where there are robots."""
+    """Verb of each action; WAIT comes last where there are robots."""
     verbs = ActionSpace(state.num_objects).verbs
     return verbs if state.robots is None else np.append(verbs, WAIT)
 
@@ -174,7 +174,7 @@ def _by_steps(
     to_go: Int[Array, "*B"],
     blocks: Sequence[slice],
 ) -> Any:
-    """Ask for the states of each number of steps to go at once: to copy an M for each state takes far longer."""
+    """Process states with equal steps to go together: copying an M for each state takes far longer."""
     xp = library_of(margin, features, to_go)
     if xp is not np:
         return asked(xp.take(margin, to_go, axis=0), features, blocks)
@@ -188,7 +188,7 @@ def _by_steps(
 
 
 def _deviations(margin: Any, features: Any, blocks: Sequence[slice]) -> Any:
-    """Mᵀ (1, φ) of every action, where the actions of each of the K blocks stand."""
+    """Mᵀ (1, φ) of every action; `blocks` are the slices of the actions of the K blocks."""
     each = [margin[..., k, :1, :] + features[..., block, :] @ margin[..., k, 1:, :] for k, block in enumerate(blocks)]
     return library_of(features, margin).concatenate(each, axis=-2)
 
@@ -201,19 +201,19 @@ def _lengths(margin: Any, features: Any, blocks: Sequence[slice]) -> Any:
 def table_probabilities(policy: Any, states: TableState) -> Float[np.ndarray, "n T A"]:
     """π(a | S_t) of any deterministic `halfseen.world.Policy`, or one mixed with `UniformPolicy`.
 
-    NaN where the policy draws its actions and does not say how.
+    NaN where the policy draws its actions with unknown probabilities.
 
     Parameters
     ----------
     policy
-        What decides.
+        The policy.
     states
-        Of a log, axes (n, T).
+        States of a log, axes (n, T).
 
     Raises
     ------
     ArgumentError
-        It is no policy.
+        `policy` is not a policy.
     PolicyError
         It is for another number of robots.
     """
@@ -236,18 +236,18 @@ def _probabilities(policy: Any, states: TableState) -> Float[np.ndarray, "*B A"]
 
 
 def decisions(policy: Any, states: TableState) -> Int[np.ndarray, "*B"]:
-    """Action of a policy that draws nothing in each of some states.
+    """Action of a deterministic policy in each state.
 
     Raises
     ------
     ArgumentError
-        The policy draws its actions.
+        The policy draws its actions at random.
     PolicyError
         It is for another number of robots.
     """
     _check_number(policy, states)
     decision = _decision(policy, states)
-    # What chose for certain says so; the probability of a planner's choice is not known, so that it is NaN.
+    # A deterministic policy reports probability 1; the probability of a planner's choice is unknown, NaN.
     if not (decision.probability == 1.0).all():
         raise ArgumentError(
             f"{type(policy).__name__} draws its actions, so that a state does not tell what it does; give a policy "
@@ -268,7 +268,7 @@ def _decision(policy: Any, states: TableState) -> Decision:
 
 @record
 class IndependentPolicies:
-    """A team without coordination; what another robot is at, or near, is to each as if it were not there.
+    """A team without coordination: each robot ignores objects that another one is at or near.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ class IndependentPolicies:
     Raises
     ------
     ArgumentError
-        There is none.
+        `policies` is empty.
     """
 
     policies: tuple[Policy, ...]
@@ -289,11 +289,11 @@ class IndependentPolicies:
 
     @property
     def num_robots(self) -> int:
-        """K."""
+        """K, the robots of the team."""
         return len(self.policies)
 
     def decide(self, state: TableState, key: Key) -> Decision:
-        """Let the policy of the robot that decides choose."""
+        """Choose by the policy of the deciding robot."""
         table, xp = own_table(state), library_of(state.log_odds)
         found, *rest = [policy.decide(table, key) for policy in self.policies]
         for robot, other in enumerate(rest, start=1):
@@ -303,7 +303,7 @@ class IndependentPolicies:
 
 
 def own_table(state: TableState) -> TableState:
-    """The table as the robot that decides sees it as if alone: what it could begin with now, and its own decisions."""
+    """The table as if the deciding robot were alone: objects that it could act on now, and its own decisions to go."""
     robots: Any = state.robots
     xp = library_of(state.log_odds)
     is_free = possible_actions(state)[..., ActionSpace(state.num_objects).of(Verb.WASH)]

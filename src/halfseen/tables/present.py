@@ -1,4 +1,4 @@
-"""From what a camera sees now, and the prior of the log, to the state that a policy decides in."""
+"""The state that a policy decides in, from the camera's current view and the prior of the log."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,7 +11,7 @@ from halfseen.errors import LogError
 if TYPE_CHECKING:
     from halfseen.logs import Logs
 else:
-    Logs = Any  # Who reads a policy loads no log.
+    Logs = Any  # Reading a policy loads no log.
 from dataclasses import dataclass, replace
 
 from halfseen.arrays import Hides, PerObject
@@ -24,20 +24,20 @@ PRIOR_COLUMN = "dirty_share"
 
 
 class PriorFacts(NamedTuple):
-    """What a log, or a part of it, tells of P(DIRTY)."""
+    """Facts of a log, or of a part of it, about the prior P(DIRTY)."""
 
     stated: tuple[float, float] | None
-    """Least and largest of what its trajectories say; None where one does not."""
+    """Smallest and largest prior stated by its trajectories; None if one states none."""
     total: float
     """Sum of P(DIRTY) over the objects of all first stages."""
     count: int
 
 
 def logged_dirty_share(logs: Logs) -> float:
-    """Read the prior that the log-odds of a log started from.
+    """Read the prior of the log-odds of a log.
 
-    Where the trajectories have a column ``dirty_share``, it is that. Else it is the mean of P(DIRTY) over the objects
-    of all first stages: given right labels, E[P(DIRTY | label)] is the prior.
+    It is the column ``dirty_share`` of the trajectories if there is one. Otherwise it is the mean of P(DIRTY) over the
+    objects of all first stages: with calibrated labels, E[P(DIRTY | label)] is the prior.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def logged_dirty_share(logs: Logs) -> float:
 
 
 def prior_facts(logs: Logs) -> PriorFacts:
-    """Look at a log, or a part of it.
+    """Collect the facts from a log, or from a part of it.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def prior_facts(logs: Logs) -> PriorFacts:
 
 
 def dirty_share(parts: Sequence[PriorFacts]) -> float:
-    """Tell the prior by what the parts of a log tell.
+    """Compute the prior from the facts of the parts of a log.
 
     Raises
     ------
@@ -93,27 +93,26 @@ def dirty_share(parts: Sequence[PriorFacts]) -> float:
 
 @dataclass(frozen=True)
 class Present:
-    """Where a trajectory stands.
+    """The current stage of a trajectory.
 
     Parameters
     ----------
     state
-        One table: what the cloud shows, in its order, and after that what is on the table without being seen.
+        State of one table: the objects of the cloud, in its order, then objects on the table that are not seen.
     stage
         The stage to decide, from 1.
     notes
-        What is doubtful.
+        Warnings about doubtful facts.
     is_labelled
-        True if the log-odds hold what this look told: labels of it must not be added again.
+        True if the log-odds already include this look: its labels must not be added again.
     new
-        Numbers of the objects that the history lacks: their labels count all the same.
+        Numbers of the objects that are not in the history: their labels are added nevertheless.
     was
-        Of each object, its number among those of the history's last stage; −1 where that lacks it. Empty without a
-        history.
+        Number of each object in the history's last stage; −1 for an object that is not in it. Empty without a history.
     seen
-        What labels told, in one sentence.
+        The labels in one sentence.
     dirty_share
-        P(DIRTY) of an object before any label; None if nobody knows it.
+        P(DIRTY) of an object before any label; None if unknown.
     """
 
     state: TableState
@@ -127,11 +126,11 @@ class Present:
 
 
 class Known(NamedTuple):
-    """What is known of each object, besides its past attempts."""
+    """Knowledge of each object, apart from past attempts."""
 
     log_odds: PerObject
     seen: PerObject
-    """Share of its surface that labels have told of."""
+    """Share of its surface that labels cover."""
     lifts: PerObject
     grip: PerObject
 
@@ -145,29 +144,29 @@ class Tried(NamedTuple):
 
 
 def first_state(scene: Scene, horizon: int, dirty_share: float, stage: int = 1) -> Present:
-    """State of a table of which nothing is known but a view: labels at the prior, no attempts.
+    """State of a table known only from a view: log-odds at the prior, no attempts.
 
-    `horizon` is T of the policy, and `dirty_share` P(DIRTY) of an object before any label, as in the logs that it
+    `horizon` is T of the policy, and `dirty_share` is P(DIRTY) of an object before any label, as in the logs that it
     learned from, in (0, 1). Stages count from 1.
 
     Raises
     ------
     PolicyError
-        There is no such stage, or `dirty_share` leaves nothing in doubt.
+        There is no such stage, or `dirty_share` is not in (0, 1).
     """
     state = state_now(scene.hides, unknown(scene, dirty_share), [], horizon, stage)
     return Present(state, stage, dirty_share=dirty_share)
 
 
 def unknown(scene: Scene, dirty_share: float) -> Known:
-    """What is known of objects that were never seen before.
+    """Knowledge of objects that were never seen before.
 
     `dirty_share` is P(DIRTY) of an object before any label, in (0, 1).
 
     Raises
     ------
     PolicyError
-        `dirty_share` leaves nothing in doubt.
+        `dirty_share` is not in (0, 1).
     """
     if not 0.0 < dirty_share < 1.0:
         raise PolicyError(f"dirty_share is {dirty_share}; P(DIRTY) before any label lies between 0 and 1")
@@ -176,7 +175,7 @@ def unknown(scene: Scene, dirty_share: float) -> Known:
 
 
 def state_now(hides: Hides, known: Known, tried: Sequence[Tried], horizon: int, stage: int) -> TableState:
-    """State of a table on which every object stands that is known.
+    """State of a table with all known objects on it.
 
     `horizon` is T of the policy, and stages count from 1.
 
@@ -210,10 +209,10 @@ def state_now(hides: Hides, known: Known, tried: Sequence[Tried], horizon: int, 
 
 
 def labelled(present: Present, is_dirty: Sequence[bool | None], seeing: KnownSeeing) -> Present:
-    """Move the log-odds of DIRTY by a label of each object, as right as a law says at its occlusion.
+    """Update the log-odds of DIRTY by a label of each object, with the accuracy of a law at its occlusion.
 
-    Where the log-odds hold this look already, only what is new to the history is labelled. `is_dirty` is what each
-    object of the cloud looks like; None where nothing can be said.
+    If the log-odds already include this look, only objects new to the history are labelled. `is_dirty` holds the label
+    of each object of the cloud; None for no label.
     """
     occluded = np.asarray(occlusion(present.state), dtype=np.float64)
     log_odds, seen = (np.asarray(leaf, dtype=np.float64) for leaf in (present.state.log_odds, present.state.seen))

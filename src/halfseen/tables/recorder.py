@@ -1,18 +1,18 @@
-"""The law of seeing that a recorder kept to, read back from its own log-odds; and whether labels speak against it.
+"""The law of seeing that a recorder used, recovered from its own log-odds; and its test on the labels.
 
 Each label moved the log-odds of DIRTY of its object by
 
     log P(label | dirty) − log P(label | clean),
 
-a known function of the recorder's law and of what was in view. So the law is what reproduces the moves: robust least
-squares, exact but for rounding where the recorder was of that family. A robot that works remembers now and then what
-hides an object otherwise than its camera saw it, so `MOST` of the moves must be reproduced, not all. Where no law does,
-nothing is read.
+a known function of the recorder's law and of the view. So the law is fitted to these changes by robust least squares,
+which is exact up to rounding if the recorder's law is in the family. At work, a robot's memory of what hides an object
+sometimes differs from its camera's view. So `MOST` of the changes must be reproduced, not all. Where no law reproduces
+them, no law is returned.
 
-A recorder's law may be wrong, and then its log-odds mislead anyone who goes by them. The labels themselves tell: were
-the recorder right, twice the log-likelihood ratio of the best law of the family to the recorder's would be χ², with as
-many degrees of freedom as the family has numbers [Wilks1938]_. Unless that is beyond `LEVEL`, the recorder's law is the
-centre of the prior of the fit by labels; else they are fitted without it, as where a log holds no log-odds of its own.
+A recorder's law may be wrong, and its log-odds then mislead a policy. This is tested on the labels. If the recorder is
+right, twice the log-likelihood ratio of the best law of the family to the recorder's is χ², with as many degrees of
+freedom as the family has parameters [Wilks1938]_. Unless it exceeds `LEVEL`, the prior of the fit to the labels is
+centred at the recorder's law. Otherwise the law is fitted without it, as for a log without log-odds of its own.
 """
 
 from collections.abc import Callable
@@ -28,27 +28,27 @@ from halfseen.tables.law_seeing import Independent, Persistent
 from halfseen.world.seeing import AssumedSeeing, KnownSeeing, PersistentSeeing, label_evidence
 
 LEVEL = 0.01
-"""Probability with which a right recorder is taken for a wrong one, at most."""
+"""Level of the test of the recorder."""
 MOVE_ROUNDING = 2e-3
-"""Root mean square of what is left of moves that are rounded."""
+"""Root mean square of the residuals of rounded changes."""
 MOST = 0.95
-"""Share of the moves that one law must have made."""
+"""Share of the changes that one law must reproduce."""
 ENOUGH = 1000
-"""Moves among which a law is looked for; `MOST` of all must bear it out."""
+"""Number of changes used in the search; `MOST` of all must agree with the result."""
 PARTS = (4, 12)
-"""In how many parts of what an object shows in full view a recorder's own curves are looked for."""
+"""Numbers of parts of the surface in full view tried for a recorder's own curves."""
 MOST_STEPS = 100
-"""Of a search; a law that made the moves is found in far fewer."""
+"""Most steps of a search; a law that made the changes is found in far fewer."""
 RECORDER_SPREAD = 0.1
-"""Standard deviation of the prior about the recorder's law, in logits."""
+"""Standard deviation of the prior centred at the recorder's law, in logits."""
 
 
 def read_back(
     labels: Labels, law_of: Callable[[Rows], KnownSeeing], centre: Rows, bounds: tuple[float, float]
 ) -> Rows | None:
-    """Find the numbers of the law whose labels would have moved the log-odds as they moved; None if no one law did.
+    """Find the parameters of the law that reproduces the changes of the log-odds; None if no single law does.
 
-    The search begins at `centre`, where numbers stay that no label tells; each lies within `bounds`.
+    The search begins at `centre`, where parameters without information stay; each lies within `bounds`.
     """
     from scipy.optimize import least_squares
 
@@ -69,25 +69,25 @@ def read_back(
 
 
 def moved_by(law: KnownSeeing, labels: Labels) -> Rows:
-    """By how much the labels move the log-odds under a law."""
+    """Changes of the log-odds by the labels under a law."""
     if_dirty, if_clean = law.positive(labels.occlusion, labels.seen, labels.is_held)
     return np.asarray(label_evidence(if_dirty, if_clean, labels.says_dirty), dtype=np.float64)
 
 
 class SeenBy(NamedTuple):
-    """A law of seeing, and what became of the recorder's."""
+    """A fitted law of seeing, the recorder's law, and its test."""
 
     law: AssumedSeeing | PersistentSeeing
     recorder: AssumedSeeing | PersistentSeeing | None
-    """The law that made the log's own log-odds; None where no law of the family did."""
+    """The law that produced the log's own log-odds; None if no law of the family did."""
     is_rejected: bool = False
 
 
 def seeing_of(labels: Labels, dirty_share: float, known: KnownSeeing | None = None) -> SeenBy:
-    """Fit the family that the recorder of labels kept to, about the recorder's law unless labels speak against it.
+    """Fit the recorder's family to labels, with a prior centred at the recorder's law unless the labels contradict it.
 
-    Without any labels, the law's numbers are the prior's. Where the recorder's law is not to be had, that is about
-    the law that is `known`; None for a weak prior.
+    Without labels, the law is the prior's mode. Where the recorder's law is unknown or rejected, the prior is centred
+    at the law `known`; None for a weak prior.
     """
     from scipy.special import chdtri
 
@@ -113,9 +113,9 @@ NUM_KNOTS = 16
 
 
 def mending_of(labels: Labels, law: KnownSeeing, dirty_share: float) -> Mending | None:
-    """Learn it from the labels of a log; None where it has none.
+    """Learn the mending from the labels of a log, in order for each object; None without labels.
 
-    `law` is what the labels are to mean, those of each object in order.
+    `law` is the law under which log-odds are recomputed.
     """
     if not len(labels.trajectory):
         return None
@@ -127,7 +127,7 @@ def mending_of(labels: Labels, law: KnownSeeing, dirty_share: float) -> Mending 
     if persistent is not None:
         is_found = labels.says_dirty[order]
         recorded, mended = recorded[is_found], mended[is_found]
-    # What was never seen is as before.
+    # Objects never seen keep the prior.
     recorded, mended = np.append(recorded, prior), np.append(mended, prior)
     edges = np.unique(np.quantile(recorded, np.linspace(0.0, 1.0, NUM_KNOTS + 1)))
     part = np.searchsorted(edges[1:-1], recorded, side="right")
@@ -138,7 +138,7 @@ def mending_of(labels: Labels, law: KnownSeeing, dirty_share: float) -> Mending 
 
 
 def _running(moves: Float[np.ndarray, " n"], begins: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Sums of the moves of each object so far."""
+    """Cumulative sums of the changes of each object."""
     total = np.cumsum(moves)
     first = np.flatnonzero(begins)
     return total - np.repeat(total[first] - moves[first], np.diff(np.append(first, len(moves))))

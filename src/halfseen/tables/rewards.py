@@ -1,43 +1,43 @@
-"""Rewards that eq. 3 runs on at a table: less noise, the same mean; and, of a team, measured from leaving it as it is.
+"""Rewards for eq. 3 at a table: less noise, the same mean; for a team, relative to leaving the table as it is.
 
-What S_{t+1} tells takes randomness out of the targets.
+Conditioning on S_{t+1} removes randomness from the targets.
 
-*What a WASH pays.* One that succeeds pays for a dirty object and costs for a clean one, and which it was is a coin that
-no state shows. The states before and after tell whether the object left the table, and how dirty it looked; given
-these, the reward is replaced by its regression
+*Reward of a WASH.* A successful WASH pays for a dirty object and costs for a clean one. Which it was is random given
+the states. The states before and after show whether the object left the table and how dirty it looked. The reward is
+replaced by its regression on these,
 
     R̂_t = b_0 + b_1·left + b_2·left·p,    p = P(DIRTY) in S_t,
 
-weighted as all else. As E[R_t + V(S_{t+1}) | S_t, A_t] = E[E(R_t | S_t, A_t, S_{t+1}) + V(S_{t+1}) | S_t, A_t], the
-target keeps its mean where the regression holds. A stage that ended its trajectory keeps its own reward, for no state
-after it was seen.
+with the usual weights. As E[R_t + V(S_{t+1}) | S_t, A_t] = E[E(R_t | S_t, A_t, S_{t+1}) + V(S_{t+1}) | S_t, A_t], the
+target keeps its mean where the regression holds. A stage that ended its trajectory keeps its own reward, because no
+state was observed after it.
 
-*What labels say.* The next labels move each p up or down, and its mean stays. So Σ_j (p'_j − p_j)·m_j has mean 0 given
-(S_t, A_t), whatever multiplier m_j is taken from S_t. These are control variates of the recursion.
+*Labels.* The next labels move each p up or down, but not its mean. So Σ_j (p'_j − p_j)·m_j has mean 0 given
+(S_t, A_t), for any multiplier m_j that depends on S_t. These sums are control variates of the recursion.
 
-Both rest on p being a probability: of the objects at p, the share p is dirty. Where log-odds are too sure of
-themselves, Q is learned without a bias from them by ``reduces_variance=False``.
+Both require calibrated p: a share p of the objects at p is dirty. Where log-odds are overconfident,
+``reduces_variance=False`` avoids the bias that they would cause in Q.
 
-**Of a team.**
+**Teams.**
 
-*What is left.* What is left dirty is paid when a trajectory ends, however long before it was given up: that a robot
-parks costs nothing then. So rewards are shaped [NgHaradaRussell1999]_,
+*Shaping.* Objects left dirty are paid for when a trajectory ends, however long before they were given up. So parking a
+robot costs nothing at the time. Rewards are therefore shaped [NgHaradaRussell1999]_,
 
-    R_t + β·(Σ p' − Σ p),    p = P(DIRTY) in S_t, p' in S_{t+1}, over what stands on the table, β the price of one left,
+    R_t + β·(Σ p' − Σ p),    p = P(DIRTY) in S_t, p' in S_{t+1}, over objects on the table, β the price of one left,
 
-with Σ p' = 0 after a trajectory's own end, where what was left has been paid for. Every Q is then lower by β·Σ p,
-whatever the action: what is chosen stays, and 0 is to leave the table as it is. That is what the horizon forces upon a
-trajectory, too, so Q̂_0 ≡ 0.
+with Σ p' = 0 after a trajectory's own end, where the objects left have been paid for. This lowers every Q by β·Σ p,
+whatever the action. So the choice of action does not change, and Q = 0 means leaving the table as it is. The horizon
+forces that outcome too, so Q̂_0 ≡ 0.
 
-*Less noise.* Which of the objects that left the table were dirty is a coin that no state shows
-(above). Where none left, the reward is certain, and its regression on
+*Less noise.* Which of the objects that left the table were dirty is random given the states (see above). Where none
+left, the reward is deterministic, and its regression on
 
     1 for each WASH that failed, the seconds of each LIFT, those of the stage
 
-tells the prices of these. What is paid beside them where objects left is replaced by its regression on their number
-and their Σ p; and where a FINISH ended a trajectory, by its regression on the Σ p that it left, whose coefficient is β
-(0 where none did). A trajectory that the horizon or a clear table ended keeps its last reward, for no state after it
-was seen.
+gives their prices. Where objects left, the remaining reward is replaced by its regression on their number and their
+Σ p. Where a FINISH ended a trajectory, it is replaced by its regression on the Σ p of the objects left, whose
+coefficient is β (0 if no trajectory ended so). A trajectory that ended by the horizon or a clear table keeps its last
+reward, because no state was observed after it.
 """
 
 from collections.abc import Iterable, Sequence
@@ -56,11 +56,11 @@ FAILED, LIFTED_S, LASTED_S, NUM_LEFT, DIRT_LEFT, DIRT_BEFORE = range(6)
 """Columns of `outcomes_of`."""
 NUM_OUTCOMES = 6
 _CERTAIN, _WASHED, _LEFT = slice(FAILED, NUM_LEFT), slice(NUM_LEFT, DIRT_BEFORE), slice(DIRT_BEFORE, NUM_OUTCOMES)
-"""Which outcomes tell rewards that are certain, what objects that left pay, and what is left costs."""
+"""Outcomes that determine certain rewards, rewards of objects that left, and the price of objects left on the table."""
 
 
 def wash_outcomes(encoded: Encoded) -> Float[np.ndarray, "n T 3"]:
-    """1, left, left·p of every WASH, zeros for any other action; `left` means something where S_{t+1} was seen."""
+    """1, left, left·p of every WASH, zeros for any other action; `left` is valid only where S_{t+1} was observed."""
     verb, action = _space(encoded).verbs[encoded.action], encoded.action[..., None]
     is_dirty = np.take_along_axis(encoded.features[..., WASH_DIRTY], action, axis=2)[..., 0]
     after = np.take_along_axis(encoded.is_possible[:, 1:], action[:, :-1], axis=2)[..., 0]
@@ -70,7 +70,7 @@ def wash_outcomes(encoded: Encoded) -> Float[np.ndarray, "n T 3"]:
 
 
 def wash_pay(parts: Iterable[RewardedStages]) -> tuple[float, ...]:
-    """Regress the rewards of WASH on what became of it, weighted: b_0, b_1 and b_2."""
+    """Regress the rewards of WASH on its outcome, weighted: b_0, b_1 and b_2."""
     kept = np.zeros((0, 4))
     for stages in parts:
         outcome = wash_outcomes(stages.encoded)
@@ -79,7 +79,7 @@ def wash_pay(parts: Iterable[RewardedStages]) -> tuple[float, ...]:
 
 
 def expected_rewards(stages: RewardedStages, pays: Sequence[float]) -> Float[np.ndarray, "n T"]:
-    """Replace the reward of each WASH by what is expected of it; where its trajectory came to its own end it stays."""
+    """Replace the reward of each WASH by its expectation, except where its trajectory came to its own end."""
     outcome = wash_outcomes(stages.encoded)
     return np.where(_is_reduced(stages, outcome), outcome @ np.array(pays), stages.reward)
 
@@ -94,20 +94,20 @@ def _with_rows(
     stages: RewardedStages,
     use: Bool[np.ndarray, "n T"],
 ) -> Float[np.ndarray, "K2 Z1"]:
-    """Add rows (numbers, reward)·√w to a regression; few of those before are kept, with the same normal equations."""
+    """Add rows (numbers, reward)·√w to a regression; earlier rows are reduced to few with the same normal equations."""
     rows = np.column_stack([outcome[use], stages.reward[use]]) * np.sqrt(stages.weight[use])[:, None]
     return np.vstack([np.linalg.qr(kept, mode="r"), rows]) if len(kept) else rows
 
 
 def _least_squares(numbers: Float[np.ndarray, "K Z"], reward: Float[np.ndarray, " K"]) -> tuple[float, ...]:
-    """0 where there are no rows."""
+    """Least-squares coefficients; 0 where there are no rows."""
     return tuple(np.linalg.lstsq(numbers, reward, rcond=None)[0].tolist())
 
 
 def label_control_variates(encoded: Encoded) -> Float[np.ndarray, "n T 8"]:
     """Control variates of a log of one robot's tables (`label_moves`).
 
-    What the log tells of stages after which no state was seen means nothing.
+    Values are meaningless for stages after which no state was observed.
     """
     space = _space(encoded)
     washed = encoded.features[:, :, space.of(Verb.WASH)]
@@ -123,21 +123,21 @@ def label_moves(
     target: Int[np.ndarray, "n T"],
     has_target: Bool[np.ndarray, "n T"],
 ) -> Float[np.ndarray, "n T 8"]:
-    """Σ_j (p'_j − p_j)·m_j over what stays on the table, and the same of the target alone, for some multipliers m.
+    """Σ_j (p'_j − p_j)·m_j over objects that stay on the table, and for the target alone, for some multipliers m.
 
-    They are 1 and ease, and ease where p is above ¼, ½ or ¾: the table has all five, the target 1, ease and the one
-    above ½.
+    The multipliers are 1, ease, and ease where p is above ¼, ½ or ¾. The table uses all five; the target uses 1, ease
+    and the one for ½.
 
     Parameters
     ----------
     is_dirty
         p.
     ease
-        Of a grasp.
+        Ease of a grasp.
     is_there
-        Whether it stands on the table.
+        Whether the object is on the table.
     target, has_target
-        Of the action, if it has one.
+        Target of the action, and whether it has one.
     """
     plain = np.zeros_like(is_dirty)
     plain[:, :-1] = np.where(is_there[:, :-1] & is_there[:, 1:], np.diff(is_dirty, axis=1), 0.0)
@@ -161,9 +161,9 @@ def outcomes_of(
     target: Int[np.ndarray, "n T"],
     duration_s: Float[np.ndarray, "n T"],
 ) -> Float[np.ndarray, "n T 6"]:
-    """What ended in each stage: failed WASHes, seconds of LIFTs, its own; objects that left, their Σ p; Σ p before.
+    """Outcomes of each stage: failed WASHes, seconds of LIFTs, its own; objects that left, their Σ p; Σ p before.
 
-    What is no state of the team holds no object; durations are 0 where they are not known [s].
+    Padding states hold no object; unknown durations are 0 [s].
     """
     robots, begins = states.robots, is_decider(states)
     assert robots is not None
@@ -172,7 +172,7 @@ def outcomes_of(
     since_s = np.where(begins, 0.0, robots.since_s) + duration_s[..., None]
     has_ended = (doing > 0) & ~following(robots.is_busy)
     if robots.is_out is not None:
-        # What a robot was at when it dropped out was abandoned.
+        # An action under way when its robot dropped out was abandoned.
         has_ended &= ~following(robots.is_out)
     is_there = states.is_on_table
     is_dirty = np.where(is_there, expit(states.log_odds.astype(np.float64)), 0.0)
@@ -190,7 +190,7 @@ def outcomes_of(
 
 
 def following(flags: Bool[np.ndarray, "n T *K"]) -> Bool[np.ndarray, "n T *K"]:
-    """What each stage is followed by; False after the last."""
+    """Flags of the following stage; False after the last."""
     return np.concatenate([flags[:, 1:], np.zeros_like(flags[:, :1])], axis=1)
 
 
@@ -203,7 +203,7 @@ class Pays(NamedTuple):
 
 
 class _Uses(NamedTuple):
-    """Stages whose reward is certain, those in which objects left, and those in which the last robot parked."""
+    """Stages with a certain reward, those in which objects left, and those in which the last robot parked."""
 
     certain: Bool[np.ndarray, "n T"]
     washed: Bool[np.ndarray, "n T"]
@@ -211,7 +211,7 @@ class _Uses(NamedTuple):
 
 
 def _as_arrays(stages: RewardedStages) -> tuple[Float[np.ndarray, "n T 6"], _Uses]:
-    """What ended in the stages of a team, and what tells what."""
+    """Outcomes of the stages of a team, and the regression that each stage is used in."""
     assert stages.encoded.outcome is not None, "TeamTask.encode tells what ended"
     outcome = stages.encoded.outcome[..., :NUM_OUTCOMES]
     is_whole, has_left = stages.weight > 0, outcome[..., NUM_LEFT] > 0
@@ -220,7 +220,7 @@ def _as_arrays(stages: RewardedStages) -> tuple[Float[np.ndarray, "n T 6"], _Use
 
 
 def pays_of(parts: Iterable[RewardedStages]) -> Pays:
-    """Regress rewards on what ended, weighted, in one pass."""
+    """Regress rewards on outcomes, weighted, in one pass."""
     kept = [np.zeros((0, NUM_OUTCOMES + 1))] * len(_Uses._fields)
     for part in parts:
         outcome, uses = _as_arrays(part)
@@ -235,7 +235,7 @@ def pays_of(parts: Iterable[RewardedStages]) -> Pays:
 
 
 def expected(stages: RewardedStages, pays: Pays) -> Float[np.ndarray, "n T"]:
-    """Rewards of a team, replaced by what is expected of them where that is less noisy."""
+    """Rewards of a team, replaced by their expectations where these are less noisy."""
     outcome, uses = _as_arrays(stages)
     certain = outcome[..., _CERTAIN] @ np.array(pays.certain)
     reward = np.where(uses.washed, certain + outcome[..., _WASHED] @ np.array(pays.washed), stages.reward)
@@ -243,7 +243,7 @@ def expected(stages: RewardedStages, pays: Pays) -> Float[np.ndarray, "n T"]:
 
 
 def shaped(stages: RewardedStages, pays: Pays, reward: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
-    """Measure rewards from leaving the table as it is."""
+    """Shape rewards: they become relative to leaving the table as it is."""
     left = _as_arrays(stages)[0][..., DIRT_BEFORE]
     after = np.where(stages.is_last, 0.0, np.pad(left[:, 1:], ((0, 0), (0, 1))))
     return np.where(stages.weight > 0, reward + pays.left[0] * (after - left), 0.0)

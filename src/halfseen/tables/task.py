@@ -1,12 +1,12 @@
-"""The tasks of tables: WASH, LIFT or FINISH by one robot, or one Q for all robots of a team, decided one by one.
+"""The table tasks: one robot, or a team that shares one Q and decides one robot at a time, by WASH, LIFT or FINISH.
 
 *One robot.* One block of coefficients for each verb.
 
-*A team.* It starts from what each robot learns from its own part of the log (`agent_view`). Q is then that of all
-robots each following its own policy: eq. 3 with that policy in the place of the maximum. Nothing is maximised over its
-errors, one decision after the other, which made a Q of the best policy worse than each alone wherever robots get little
-into each other's way. The team's policy leaves each alone only where that Q promises clearly more: one step of policy
-iteration, one robot at a time [Bertsekas2021]_.
+*A team.* Each robot first learns a policy from its own part of the log (`agent_view`). Q is then that of all robots
+following these policies: eq. 3 with the policy's action in place of the maximum. So errors of Q are not maximised over
+one decision after another. Such maximisation made the Q of the best policy worse than separate policies wherever robots
+rarely interfere. The team's policy departs from the separate policies only where Q predicts a clear gain: one step of
+policy iteration, one robot at a time [Bertsekas2021]_.
 """
 
 from collections.abc import Iterable, Sequence
@@ -42,7 +42,7 @@ from halfseen.world.policy import GraspModel, Policy, check_decides_for
 from halfseen.world.state import TableState
 
 CAUTION = 0.4
-"""By how much another action must be better than that of each alone, in standard deviations of a stage's reward."""
+"""Least gain over the action of the separate policies, in standard deviations of a stage's reward."""
 
 
 def _unless_auto(given: Any) -> Any:
@@ -56,18 +56,18 @@ class TableTask:
     Parameters
     ----------
     grasp
-        What tells the probability of a grasp: None for the rule of succession; `BetaGrasp` or `SVMGrasp`, which is
-        fitted to the attempts of the log unless it is fitted already; any `GraspModel`; or ``"auto"``, the rule of
-        succession unless a Beta regression foretells the log's own attempts better, by each robot's own where robots
-        clearly differ (`halfseen.tables.grasp_choice`); until it is fitted, the rule of succession.
+        Model of the probability of a grasp: None for the rule of succession; `BetaGrasp` or `SVMGrasp`, which is
+        fitted to the attempts of the log unless already fitted; any `GraspModel`; or ``"auto"``, a Beta regression
+        where it predicts the log's held-out attempts better than the rule of succession, one for each robot where
+        robots clearly differ (`halfseen.tables.grasp_choice`). Before fitting, ``"auto"`` is the rule of succession.
     reduces_variance
-        Takes the noise of dirty or clean and that of the labels out of the targets of eq. 3; it rests on the log-odds
-        of DIRTY being right (see `rewards`).
+        Removes the noise of dirty or clean and that of the labels from the targets of eq. 3. It requires calibrated
+        log-odds of DIRTY (see `rewards`).
     chosen
-        What was chosen by itself, and why.
+        The automatic choices, and the reasons.
     pays
-        What `rewards` learns of the prices, where it was fitted beforehand, as to a log in parts; None to fit it to
-        each log.
+        The reward regression of `rewards` if it was fitted beforehand, as to a log in parts; None to fit it to each
+        log.
     """
 
     grasp: Any = AUTO
@@ -80,7 +80,7 @@ class TableTask:
     is_shared: ClassVar[bool] = False
 
     def fitted(self, logs: Logs, horizon: int) -> Any:
-        """Fit the grasp model, once it is chosen."""
+        """Choose the grasp model and fit it."""
         if _unless_auto(self.grasp) is self.grasp:
             return replace(self, grasp=grasp_model_of(self.grasp, logs, horizon))
         choice = choose_grasp(logs, horizon)
@@ -92,7 +92,7 @@ class TableTask:
         Raises
         ------
         LogError
-            An action is none that a table knows, or is done to an object that is not on it; several robots decided.
+            An action is unknown to a table, or its object is not on the table; or several robots decided.
         """
         states = self._states(logs, horizon)
         action = encoding.logged_actions(logs, horizon, states.num_objects)
@@ -103,11 +103,11 @@ class TableTask:
         return ActionSpace.of_size(num_actions).verbs
 
     def outcome_features(self, names: Sequence[str]) -> Float[np.ndarray, " F"]:
-        """Features of tables have no names to choose by."""
+        """Features of tables have no names; this always raises."""
         raise ArgumentError(f"outcome_covariates is {list(names)}; on a table the outcome regression uses all features")
 
     def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_trajectory: bool) -> pd.DataFrame:
-        """What cuts may depend on, a row for each stage; None for all, or those known at the beginning."""
+        """Covariates of cuts, one row for each stage; None for all, or for those known at the beginning."""
         known = encoding.TABLE_COVARIATES[: encoding.NUM_AT_BEGIN if is_by_trajectory else None]
         return encoding.table_covariates(logs, known if names is None else names)
 
@@ -118,14 +118,14 @@ class TableTask:
     def reduce_variance(
         self, stages: RewardedStages
     ) -> tuple[Float[np.ndarray, "n T"], Float[np.ndarray, "n T Z"] | None]:
-        """Expected rewards of WASH given what became of it, and what labels moved as control variates."""
+        """Expected rewards of WASH given its outcome; changes of P(DIRTY) by labels as control variates."""
         if not self.reduces_variance:
             return stages.reward, None
         pays = rewards.wash_pay([stages]) if self.pays is None else self.pays
         return rewards.expected_rewards(stages, pays), rewards.label_control_variates(stages.encoded)
 
     def policy(self, learned: LearnedQ) -> LinearTablePolicy | LinearTeamPolicy:
-        """Policy in single precision, as coarse as the states that it sees."""
+        """Policy in single precision, as are the states that it is given."""
         seen = learned.is_seen
         return LinearTablePolicy(
             **self._in_single_precision(learned), is_seen=None if seen is None or seen.all() else seen
@@ -155,14 +155,14 @@ class TeamTask(TableTask):
     Parameters
     ----------
     num_robots
-        K, which a log must have; None for any.
+        K, the number of robots that a log must have; None for any.
     base
-        The policy of a team that is improved upon, ``"auto"`` for each alone, or None to learn Q of the best policy.
+        The team policy to improve on; ``"auto"`` for separately learned policies; None to learn Q of the best policy.
     caution
-        By how much another action must be better than that of `base`, in units of reward; None to take `CAUTION`.
+        Least gain over the action of `base` that another action must have [reward]; None for `CAUTION`.
     is_evaluating
-        Encodes all that robots may do, as a policy that is evaluated need not wait as a learned one would, and measures
-        Q from nothing, as rewards are.
+        Encodes all possible actions, because a policy under evaluation may act where a learned one would wait, and
+        leaves rewards unshaped.
     """
 
     num_robots: int | None = None
@@ -180,14 +180,14 @@ class TeamTask(TableTask):
         return self.base is not None
 
     def fitted(self, logs: Logs, horizon: int) -> "TeamTask":
-        """Choose the grasp model, and learn what each robot would do alone, unless they are given.
+        """Choose the grasp model, and learn a separate policy for each robot, unless they are given.
 
         Raises
         ------
         ArgumentError
-            What is given is no grasp model, or no policy of a team.
+            `grasp` is not a grasp model, or `base` not a policy of a team.
         LogError
-            The log is of another number of robots.
+            The log has another number of robots.
         PolicyError
             The base is for another number of robots.
         """
@@ -218,14 +218,14 @@ class TeamTask(TableTask):
         return replace(self, base=base, caution=caution, chosen=(*self.chosen, why))
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
-        """Encode every stage of a log of a team, what ended in it, and what the base would have done.
+        """Encode every stage of a log of a team, with its outcomes and the action of the base.
 
         Raises
         ------
         ArgumentError
-            The base draws its actions.
+            The base draws its actions at random.
         LogError
-            An action is none of a team's, or a column is missing.
+            An action is unknown to a team, or a column is missing.
         """
         states = self._states(logs, horizon)
         action = encoding.logged_actions(logs, horizon, states.num_objects, is_team=True)
@@ -233,7 +233,7 @@ class TeamTask(TableTask):
         there = mapped(lambda leaf: leaf[at], states)
         choices = actions.possible_actions if self.is_evaluating else actions.worthwhile_actions
         encoded = encoding.encoded_at(at, there, action, self._model, choices)
-        # What was done is possible, whatever a policy would choose from.
+        # A logged action is possible, whatever a policy would choose from.
         np.put_along_axis(encoded.is_possible, action[..., None], True, axis=2)
         if _unless_auto(self.base) is not None:
             policy = spread(np.eye(encoded.is_possible.shape[-1])[decisions(self.base, there)], at, shape)
@@ -243,17 +243,17 @@ class TeamTask(TableTask):
         return encoded._replace(outcome=outcome, policy=policy)
 
     def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
-        """Kind of each action: its verb."""
+        """Block of each action: its verb, WAIT last."""
         return np.append(super().block_of_action(num_actions - 1), WAIT)
 
     def fitted_to_rewards(self, parts: Iterable[RewardedStages]) -> "TeamTask":
-        """Fit what ended attempts pay, and what is left costs."""
+        """Fit what completed attempts pay, and what objects left dirty cost."""
         return replace(self, pays=rewards.pays_of(parts))
 
     def reduce_variance(
         self, stages: RewardedStages
     ) -> tuple[Float[np.ndarray, "n T"], Float[np.ndarray, "n T Z"] | None]:
-        """Rewards, shaped where Q is learned, and what labels moved as control variates (`rewards`)."""
+        """Rewards, shaped unless evaluating; changes of P(DIRTY) by labels as control variates (`rewards`)."""
         pays = rewards.pays_of([stages]) if self.pays is None else self.pays
         reward, variates = stages.reward, None
         if self.reduces_variance and stages.encoded.outcome is not None:
@@ -277,7 +277,7 @@ def _outcome(
     duration_s: Float[np.ndarray, "n T"],
     ease: Float[np.ndarray, "n T N"],
 ) -> Float[np.ndarray, "n T Z"]:
-    """What ended in each stage, and what labels moved."""
+    """Outcomes of each stage, and the changes of P(DIRTY) by labels."""
     space = ActionSpace(states.num_objects)
     verb, target = space.verb(action), space.target(action)
     is_dirty = expit(states.log_odds).astype(np.float64)
