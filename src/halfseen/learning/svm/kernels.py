@@ -118,7 +118,7 @@ def named_kernel(kernel: str | Kernel, gamma: float | int, degree: float | int =
 def checked_gram(
     kernel: Kernel, first: Sequence[Any] | np.ndarray, second: Sequence[Any] | np.ndarray
 ) -> Float[np.ndarray, "n m"]:
-    """kernel(first, second), refused where it is no part of a Gram matrix; one of rows with themselves is symmetric."""
+    """Check and return kernel(first, second); it must be symmetric if `first` is `second`."""
     shape = len(first), len(second)
     try:
         gram = np.asarray(kernel(first, second), dtype=np.float64)
