@@ -7,8 +7,7 @@ it is one choice among all objects and verbs.
 
 Where Q is taken at a lower confidence bound, following the behaviour policy needs no evidence, because it makes nothing
 worse. So the margin of an action is reduced as far as the behaviour policy prefers it (`excess_propensity`). Only
-deviations from the behaviour policy must be clearly better, as in safe policy improvement
-[LarocheTrichelairTachet2019]_.
+deviations from it must be clearly better, as in safe policy improvement [LarocheTrichelairTachet2019]_.
 
 The logit is fitted by Newton steps of bounded length (`minimise_each`), for several smooth functions of few variables
 at once. Where a function is not convex, the absolute eigenvalues of its Hessian are used, so that each step is a

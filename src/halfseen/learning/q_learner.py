@@ -174,9 +174,8 @@ class CensoredQLearner(Estimator):
         grasp, reduces_variance
             Parameters of the task (see `halfseen.tables.TableTask`).
         laws
-            ``"auto"``: learn with the help of laws fitted to the log (see `halfseen.tables.TableLearner`), unless
-            `q_function`, `stages`, `reg`, `pessimism` or `half_life` is given: these belong to eq. 3 without laws.
-            None: eq. 3 without laws. Any other value is refused.
+            ``"auto"``: with the help of laws fitted to the log (see `halfseen.tables.TableLearner`), unless
+            `q_function`, `stages`, `reg`, `pessimism` or `half_life` is given; None: eq. 3 without laws.
         **parameters
             Parameters of the learner.
         """
@@ -240,9 +239,8 @@ class CensoredQLearner(Estimator):
         Parameters
         ----------
         logs
-            The log. A `LogStream` is read in passes, one for each stage and some before, and never held whole in
-            memory. The result is the same. A Ĝ on the clock of stages needs the clocks of all stages, and their
-            censoring covariates, in memory.
+            The log. A `LogStream` is read in passes, one for each stage and some before, with the same result. Only
+            the clocks and censoring covariates of all stages are held, if Ĝ is on the clock of stages.
         workers
             Workers that sum up the shards of a `LogStream`, with byte-identical results; None for this process alone.
 
