@@ -23,7 +23,7 @@ SECONDS = 3600.0
 STILL_S = 1e-6
 """A stage that takes no longer counts as instantaneous [s]."""
 SAME_TIME = 1e-9
-"""Largest difference between the ticks of a step counter, as a share of the longest stage."""
+"""Largest difference between stages on a clock that counts stages, as a share of the longest."""
 
 
 class Rate(NamedTuple):

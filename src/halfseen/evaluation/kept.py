@@ -19,7 +19,7 @@ from halfseen.policies.shares import action_shares
 APART = 0.1
 """Difference of two distribution functions, or of shares, that may matter."""
 CLEARLY = 1.95
-"""Threshold of the Kolmogorov–Smirnov test at 0.1 %: difference × √(harmonic number of states)."""
+"""Threshold of the Kolmogorov–Smirnov test at 0.1 %, for difference × √(1/(1/n + 1/m)) with n and m states."""
 AS_PROMISED = 2.0
 """Standard errors within which the return agrees with the promise."""
 OWN = 0.9

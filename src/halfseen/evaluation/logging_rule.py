@@ -259,6 +259,6 @@ def _likeliest(
     kinds, kind = np.unique(taken[fitted], return_inverse=True)
     votes = weight[fitted, None] * (kind[:, None] == np.arange(len(kinds)))
     chances = np.zeros(possible.shape)
-    if len(fitted):  # else all that has a say is held out, and one action is as good a guess as another
+    if len(fitted):  # else all rows with weight are held out, and every action is an equally good guess
         chances[:, kinds] = shares_of(states, votes, fitted)
     return np.where(possible, chances, -1.0).argmax(axis=1)

@@ -59,7 +59,7 @@ def task_of(policy: Any, logs: Logs) -> Task:
     """Find the task of a policy.
 
     For named actions, the task of a stage has the actions that the policy may take and the other actions taken in the
-    log. The covariates are the policy's, with the categories that it knows, or all of the log that hold numbers or text
+    log. The covariates are the policy's, with its known categories, or all of the log that hold numbers or text
     of few categories.
     """
     if isinstance(policy, CrossFitted):

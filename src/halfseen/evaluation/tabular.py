@@ -29,8 +29,8 @@ from halfseen.shapes import Bool, Float, Int
 FEWEST_STAGES = 10.0
 """Harmonic mean of the completed stages in the cells that policies visit; with fewer, no interval is valid."""
 WIDER = 3.0
-"""Excess variance of means of few stages, in units of 1 / (their number): our choice, made on random worlds in which
-all actions are equal (`benchmarks/published/icu_verdicts.py` evaluates on others)."""
+"""The variance is multiplied by 1 + `WIDER`/stages for the noise in means of few stages: our choice, made on random
+worlds in which all actions are equal (`benchmarks/published/icu_verdicts.py` evaluates on others)."""
 ROUNDING = 1e-12
 
 

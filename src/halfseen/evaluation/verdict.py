@@ -22,9 +22,10 @@ relative to the model, in either direction: the true weight of a completed stage
 [DornGuo2023]_. Among these weights, those that shift Σ_t E[w* v_t] most, with v the weighted error of Q, assign Γ to
 the stages below the 1/(Γ + 1)-quantile of v (by w − 1), and 1/Γ to those above, or vice versa.
 
-Γ is the value at which this shift moves the end of the interval that is nearer to 0 to 0. v holds the whole error of Q,
-part of which the regression of cut stages may predict; so the true Γ is as large or larger. The effect of other weights
-on the width of the interval is ignored. Γ = 1 trusts the model, and Γ = 2 is a cause that doubles or halves the odds.
+Γ is the value at which the interval, shifted by this amount, reaches 0 with its nearer end. v holds the whole error of
+Q, part of which the regression of cut stages may predict; so the true Γ is as large or larger. The effect of other
+weights on the width of the interval is ignored. Γ = 1 trusts the model; Γ = 2 is a cause that doubles or halves the
+odds.
 """
 
 from dataclasses import dataclass

@@ -3,10 +3,11 @@
 *Propensities* of the logged actions under the logging policy are logged, or estimated by a conditional logit
 (`learning.behaviour`), one per stage or one for all pooled stages.
 
-*Weights* correct for the policy and for cuts. With ρ_t = Π_{s≤t} π(A_s | S_s) / b(A_s | S_s), a completed stage has weight ρ_t δ_t /
-Ĝ(U_t⁻), and a stage that began has ρ_t / Ĝ(U_{t−1}⁻). A trajectory that has finished stays in the sums with its last
-weight, because a cut could not change its future, which is empty. So the weights of every stage have mean 1, and
-dividing by their sample mean removes much of their noise (self-normalised, or weighted, importance sampling).
+*Weights* correct for the policy and for cuts. With ρ_t = Π_{s≤t} π(A_s | S_s) / b(A_s | S_s), a completed stage has
+weight ρ_t δ_t / Ĝ(U_t⁻), and a stage that began has ρ_t / Ĝ(U_{t−1}⁻). A trajectory that has finished stays in the sums
+with its last weight, because a cut could not change its future, which is empty. So the weights of every stage have
+mean 1, and dividing by their sample mean removes much of their noise (self-normalised, or weighted, importance
+sampling).
 
 *The doubly robust value* of a policy under censoring has the contributions
 

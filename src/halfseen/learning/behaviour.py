@@ -119,7 +119,7 @@ def excess_propensity(utility: Float[Any, "*S A"], is_possible: Bool[Any, "*#S A
 
 
 def seen_among(allowed: Bool[Any, "*S A"], seen: Bool[Any, "*T A"]) -> Bool[Any, "*S A"]:
-    """Keep the actions that were seen; keep all allowed ones if none was."""
+    """Restrict allowed actions to those with support; keep all allowed ones if none has it."""
     both = allowed & seen
     return both | (allowed & ~both.any(axis=-1, keepdims=True))
 

@@ -2,8 +2,8 @@
 
 The defaults are one strong recipe. Targets are imputed, because weights add noise and completed stages alone are
 biased. Q is a quadratic with a smooth remainder, or linear in features that a task defines, and is taken at its lower
-confidence bound. Only what logs can decide is left to them. `benchmarks/learners.py` compares the recipe with others,
-on logs that were not used to choose it.
+confidence bound. Only choices that logs can decide are left to them. `benchmarks/learners.py` compares the recipe with
+others, on logs that were not used to choose it.
 """
 
 from collections.abc import Hashable, Mapping, Sequence

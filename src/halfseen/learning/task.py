@@ -18,7 +18,7 @@ from halfseen.shapes import Bool, Float, Int
 if TYPE_CHECKING:
     from halfseen.logs import Logs
 else:
-    Logs = Any  # Policies know what a task is, and load no log.
+    Logs = Any  # Policies use this module but load no log.
 
 AUTO: Literal["auto"] = "auto"
 
