@@ -235,7 +235,7 @@ def marginal_weights(
     Parameters
     ----------
     single
-        π/b of each stage, not cumulated; values for unknown actions are ignored.
+        π/b of each stage alone; values for unknown actions are ignored.
     uncut
         δ_t / Ĝ(U_t⁻), fitted without each fold, and last to all trajectories.
     trajectories
@@ -283,6 +283,6 @@ def _next_by_state(
 
 
 def _passed(uncut: Float[np.ndarray, "B n T"]) -> Float[np.ndarray, "B n T"]:
-    """δ_t / K̂_t, from the cumulated factors."""
+    """δ_t / K̂_t, from the cumulative factors."""
     before = uncut_before(uncut)
     return np.where(before > 0, uncut / np.where(before > 0, before, 1.0), 0.0)

@@ -1,7 +1,7 @@
 """Whether policies of a table of states beat the logging policy: doubly robust by state and action, cross-fitted.
 
 With ν(s, a) the expected number of visits of a policy to a cell per trajectory, without cuts, and m(s, a) the expected
-number of its completions in the log, a trajectory contributes
+number of its completions in a logged one, a trajectory contributes
 
     V̂(S₁) + Σ_t ν̂(S_t, A_t)/m̂(S_t, A_t) · (R_t + V̂(S_{t+1}) − Q̂(S_t, A_t))
 

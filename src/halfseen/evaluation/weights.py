@@ -18,9 +18,9 @@ of trajectories. In the version that is doubly robust towards cuts (AIPCW), Y is
 E[Y | S_t, A_t] = E[X | S_t, A_t] if Ĝ is right or if the regressions m of X and of the duration are. So
 
 * if ρ and Ĝ are right, E[V̂_1] + Σ_t E[ρ_t (R_t + V̂_{t+1}(S_{t+1}) − Q̂_t(S_t, A_t))] telescopes to the value,
-whatever Q̂ is, because E[ρ_{t+1} Q̂_{t+1}(S_{t+1}, A_{t+1})] = E[ρ_t V̂_{t+1}(S_{t+1})];
+  whatever Q̂ is, because E[ρ_{t+1} Q̂_{t+1}(S_{t+1}, A_{t+1})] = E[ρ_t V̂_{t+1}(S_{t+1})];
 * if Q̂ and m are right, each term has mean 0 given (S_t, A_t), whatever ρ and Ĝ are, as long as the cut of a stage
-depends only on the trajectory until then.
+  depends only on the trajectory until then.
 
 In the simple version, w_it = ρ_it δ_it / Ĝ(U_it⁻) and Y is X = R_t + V̂_{t+1}(S_{t+1}), of completed stages alone. The
 first statement holds; the second only if durations carry no information on X beyond (S_t, A_t), because slow stages are
@@ -151,7 +151,7 @@ def single_ratios(
 def completed_weights(
     ratio: Float[np.ndarray, "n T"], uncut: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays
 ) -> StageWeights:
-    """ρ_t δ_t / Ĝ(U_t⁻), given the cumulated factors in `uncut`."""
+    """ρ_t δ_t / Ĝ(U_t⁻), given the cumulative factors in `uncut`."""
     weight = np.where(trajectories.is_completed, ratio * uncut, 0.0)
     return StageWeights(weight, _stand_on(weight, trajectories))
 

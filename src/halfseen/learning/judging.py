@@ -101,7 +101,7 @@ def _imputed(
 def with_stages(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, tuple[str, ...]]:
     """Choose between pooled and separate stages by a log or a sample of it; return the model and the reason.
 
-    There is a choice only if there are several stages, no action that ends them, and enough trajectories to hold out.
+    There is a choice only if there are several stages, no action that ends a trajectory, and enough trajectories.
     """
     if model.horizon == 1 or model.task.end_action is not None or trajectories.num_trajectories < FEWEST_HELD_OUT:
         return model, model.chosen

@@ -83,7 +83,7 @@ class QModel:
     durations: DurationModel | None = None
     """Model of the durations of stages if fitted beforehand, as for a log in parts; None to fit it to each log."""
     is_space_free: bool = False
-    """Whether 𝒬 is a default, which a linear one replaces if it would take too long."""
+    """Whether 𝒬 is a default, to be replaced by a linear one if it would take too long."""
     space_chosen: tuple[str, ...] = ()
     """Why it was replaced."""
     has_many_actions: bool = False

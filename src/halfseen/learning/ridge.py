@@ -169,7 +169,7 @@ def standard_errors(
 ) -> Errors:
     """Compute the standard errors of a fit.
 
-    The degrees of freedom are the number of rows less the effective number of coefficients.
+    The degrees of freedom are the number of rows minus the effective number of coefficients.
 
     Parameters
     ----------
