@@ -5,8 +5,8 @@ on the rule a*(S) = argmax_a b(a | S).
 
 * Whether it was taken. If b(A | S) > ½, A is the rule's action, because all others are less likely. If in every state
   some action has more than ½, then b(A | S) ≤ ½ means that A is not. This can be checked: E[1{b(A | S) > ½} / b(A | S)]
-  is the share of states that have such an action. If it is 1, the likelihood ratio of the rule, 1{A = a*(S)} / b(A |
-  S), is known without any model (*revealed*).
+  is the share of states that have such an action. If it is 1, the likelihood ratio of the rule,
+  1{A = a*(S)} / b(A | S), is known without any model (*revealed*).
 * What it would have been. This needs a model of the actions, fitted with weights b(A | S)⁴. With them, action a has on
   average b(a | S)⁵ of the votes of a state, which has the same maximum and far less noise.
 

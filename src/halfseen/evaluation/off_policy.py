@@ -249,8 +249,8 @@ def evaluate(
         it.
     censoring
         How the rewards that cuts removed are replaced, as in `CensoredQLearner`. With ``DoublyRobust(…)`` the value is
-        doubly robust towards cuts, too; this needs the actions of cut stages. None for ``DoublyRobust("cox",
-        by="pooled", truncate_at=10)`` if the log has all actions, else ``"kaplan-meier"``.
+        doubly robust towards cuts, too; this needs the actions of cut stages. None for
+        ``DoublyRobust("cox", by="pooled", truncate_at=10)`` if the log has all actions, else ``"kaplan-meier"``.
     q
         How Q of the policy is fitted; None for one Q for all stages, linear in the covariates, their squares and
         products, and the stage; for a table, the defaults of `QSpec`.

@@ -175,7 +175,7 @@ class CensoredQLearner(Estimator):
             Parameters of the task (see `halfseen.tables.TableTask`).
         laws
             ``"auto"``: with the help of laws fitted to the log (see `halfseen.tables.TableLearner`), unless
-            `q_function`, `stages`, `reg`, `pessimism` or `half_life` is given; None: eq. 3 without laws.
+            `q_function`, `stages`, `reg`, `pessimism` or `half_life` is given; None: eq. 3 without laws; else refused.
         **parameters
             Parameters of the learner.
         """

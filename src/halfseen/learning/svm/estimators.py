@@ -29,8 +29,8 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
         λ‖g‖² + (1/n) Σ_i w_i L(Y(T_i), f(Z_i)),   w_i = δ_i / Ĝ(T_i⁻ | Z_i)
 
     over g in the kernel's space and, with `fit_intercept`, an unpenalised b (paper, eqs. 1 and 2). n counts all rows,
-    including cut ones; with sample weights s_i, n is Σ s_i and w_i becomes s_i w_i. With `tau` the target is Y(min(T,
-    τ)), and δ_i is whether min(T_i, τ) was observed.
+    including cut ones; with sample weights s_i, n is Σ s_i and w_i becomes s_i w_i. With `tau` the target is
+    Y(min(T, τ)), and δ_i is whether min(T_i, τ) was observed.
 
     Parameters
     ----------
