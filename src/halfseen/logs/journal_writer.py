@@ -212,7 +212,7 @@ class JournalWriter:
         for event in (session,) if num_bytes else (journal.HEADER, session):
             line, checksum = journal.journal_line(event, checksum)
             lines += line
-        os.ftruncate(descriptor, num_bytes)  # what a kill tore
+        os.ftruncate(descriptor, num_bytes)  # drop a line torn by a kill
         _write(descriptor, lines, bool(self._synced))
         self._held = _Held(part, descriptor, num_bytes + len(lines), checksum, self.known)
 

@@ -1,6 +1,6 @@
 """Plausibility checks of logs: logged probabilities, covariates known before the action, true endings.
 
-Whatever the policy, given everything known before a stage
+For any policy, given everything known before a stage
 
     E[1{A = a} / p]  =  P(a has a chance there)  ≤  1,
 

@@ -217,7 +217,7 @@ class RecordedTrajectory:
         return at_s - JUST_BEFORE * (at_s - before_s)
 
     def _take_back(self, end_s: float) -> None:
-        """Undo stages up to the first that had not ended before `end_s`, as several robots may decide at one time."""
+        """Undo stages back to the first that had not ended by `end_s`, as several robots may decide at one time."""
         stages = self.rows["stages"]
         while len(stages) > 1 and stages[-2]["elapsed_s"] > end_s:
             self._forget_stage()

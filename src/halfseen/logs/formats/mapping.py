@@ -120,7 +120,7 @@ def read_mapping(file: str | Path) -> BagMapping:
 
     Examples
     --------
-    All tables of a mapping; the first three are required::
+    All tables of a mapping; the first three are needed::
 
         action = {topic = "/pick/action", field = "data"}
         reward = {topic = "/pick/reward", field = "data"}

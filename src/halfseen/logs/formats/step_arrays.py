@@ -29,7 +29,7 @@ from halfseen.shapes import Float, Shaped
 SEEN, NEXT_SEEN, TIMEOUTS = "observations", "next_observations", "timeouts"
 END_OF_DATA = "end-of-data"
 MOST_GROUPS = 1000
-"""Limit on the number of groups, since groups may contain one another."""
+"""Largest number of groups at one level, since groups may contain one another."""
 
 
 def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:

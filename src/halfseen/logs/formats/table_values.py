@@ -37,7 +37,7 @@ class Marks(NamedTuple):
 
 
 def marks_of(cells: Cells, names: Sequence[str]) -> Marks:
-    """The decimal mark and thousands separator of some columns, detected if not given.
+    """The marks of numbers in some columns; the decimal mark is detected if not given.
 
     Raises
     ------
