@@ -1,13 +1,13 @@
-"""What was recorded: trajectories, their stages, endings and causes; checked once, kept on disk.
+"""Recorded trajectories with their stages, endings and causes: checked once, stored on disk.
 
 A *trajectory* is one episode. It ends *finished*, or *cut*: right-censored by something outside the task.
 
-Read down: `missing` (what stands for null in covariates) → `columns` (what is accepted, names, types, refusals) →
-`checks` (the rules) → `checked_tables` → `logs` (the record). On disk: `parquet` → `folder` → `stream` (a log of
-any form, whole or in passes) → `joining` (many as one). While a robot runs: `journal` (lines,
+Reading order: `missing` (what replaces null in covariates) → `columns` (accepted input, names, types, refusals) →
+`checks` (the rules) → `checked_tables` → `logs` (the record). On disk: `parquet` → `folder` → `stream` (a log in
+any format, whole or in passes) → `joining` (several logs as one). While a robot runs: `journal` (lines,
 chained by checksums) → `journal_writer` → `recorded` (from events to tables) → `recording_state` →
-`trajectory_recorder` → `recorder` → `protocol` (without Python). What `halfseen inspect` finds: `plausibility`,
-`data_quality`. Other forms: `formats`.
+`trajectory_recorder` → `recorder` → `protocol` (without Python). Behind `halfseen inspect`: `plausibility`,
+`data_quality`. Other formats: `formats`.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""The tables of a log, brought to their types and into order, and asked every rule."""
+"""The tables of a log, converted to their types, sorted, and checked against every rule."""
 
 from collections.abc import Callable, Iterable
 from types import SimpleNamespace
@@ -43,12 +43,12 @@ _NUMBERS = ("end_s", "elapsed_s", "probability", "reward")
 
 
 def checked_trajectories(frame: pd.DataFrame) -> pd.DataFrame:
-    """Bring the trajectories into order and check them.
+    """Sort the trajectories and check them.
 
     Parameters
     ----------
     frame
-        Columns trajectory, end_s [s], ending, and, if any trajectory has one, cause; for each robot r that may drop
+        Columns trajectory, end_s [s], ending and, if any trajectory has one, cause; for each robot r that may drop
         out, r_out_s [s] and r_out_cause.
 
     Returns
@@ -59,13 +59,13 @@ def checked_trajectories(frame: pd.DataFrame) -> pd.DataFrame:
     Raises
     ------
     LogError
-        A column is missing, a trajectory is there twice, or its end is no end.
+        A column is missing, a trajectory is duplicated, or its end is invalid.
     """
     trajectories = _typed("trajectories", frame, "cause")
     if len(frame) == 0:
         raise LogError("trajectories: there are none; a log has at least one trajectory")
     trajectories = trajectories.sort_values("trajectory", kind="stable", ignore_index=True)
-    # A list in a cell compares with a word element by element.
+    # Comparing a list in a cell with a string would be element-wise.
     words = trajectories["ending"].map(lambda ending: ending if isinstance(ending, str) else "").astype(object)
     is_cut, is_finished = (words.eq(word).to_numpy(dtype=bool) for word in (CUT, FINISHED))
     values = _values(trajectories, is_cut=is_cut, is_finished=is_finished)
@@ -82,7 +82,7 @@ def checked_trajectories(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def checked_stages(frame: pd.DataFrame, trajectories: pd.DataFrame) -> pd.DataFrame:
-    """Bring the stages into order and check them against their trajectories.
+    """Sort the stages and check them against their trajectories.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def checked_stages(frame: pd.DataFrame, trajectories: pd.DataFrame) -> pd.DataFr
     Raises
     ------
     LogError
-        An invariant is broken; the trajectory, the stage, the value and the remedy are named.
+        An invariant is violated; the message names the trajectory, the stage, the value and the remedy.
     """
     stages = _typed("stages", frame, "object")
     trajectory_row = pd.Index(trajectories["trajectory"]).get_indexer(pd.Index(stages["trajectory"]))
@@ -122,14 +122,14 @@ def checked_stages(frame: pd.DataFrame, trajectories: pd.DataFrame) -> pd.DataFr
 
 
 def complete_stages(stages: pd.DataFrame, missing: Missing) -> tuple[pd.DataFrame, Filling | None]:
-    """Fill in the covariates of checked stages that are null, and check them all.
+    """Fill in null covariates of checked stages, and check all covariates.
 
     Raises
     ------
     ArgumentError
-        One is no rule, or of no covariate.
+        A rule in `missing` is unknown, or its column is not a covariate.
     LogError
-        A covariate cannot be filled in, is null and to be refused, or is no finite number.
+        A covariate cannot be filled in, is null although null is refused, or is not a finite number.
     """
     covariates, is_kept = [name for name in stages.columns if is_stage_covariate(name)], missing == KEEP
     filling = None if is_kept else learned_filling(missing, covariates, lambda name: [stages[name]], len(stages))
@@ -140,7 +140,7 @@ def complete_stages(stages: pd.DataFrame, missing: Missing) -> tuple[pd.DataFram
 
 
 def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, trajectories: pd.DataFrame) -> pd.DataFrame:
-    """Bring the objects into order and check them against their stages.
+    """Sort the objects and check them against their stages.
 
     Returns
     -------
@@ -150,7 +150,7 @@ def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, trajectories: pd.
     Raises
     ------
     LogError
-        An invariant is broken; the trajectory, the stage, the object and the remedy are named.
+        An invariant is violated; the message names the trajectory, the stage, the object and the remedy.
     """
     objects = _typed("objects", frame)
     first_row = np.flatnonzero(stages["stage"].to_numpy() == 1)
@@ -184,7 +184,7 @@ def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, trajectories: pd.
 
 
 def _typed(name: str, frame: pd.DataFrame, optional: str | None = None) -> pd.DataFrame:
-    """A copy with all columns that are needed, in their types; one more is added where it is not there."""
+    """A copy with all required columns, converted to their types; the column `optional` is added if missing."""
     require_columns(name, frame, NEEDED[name])
     refuse_misnamed(name, frame)
     table = frame.copy(deep=False)
@@ -204,15 +204,15 @@ def _in_order(table: pd.DataFrame, order: np.ndarray, rows: np.ndarray) -> tuple
 
 
 def _values(table: pd.DataFrame, **derived: Any) -> SimpleNamespace:
-    """Columns by name, those of numbers as arrays, and what is derived of them."""
+    """Columns by name, numeric ones as arrays, and the derived values."""
     columns = {str(name): column for name, column in table.items()}
-    # What each robot brought stays a column, in whose messages NaN is null.
+    # Own rewards of robots stay Series, so that messages write NaN as null.
     numbers = {name: each.to_numpy() for name, each in columns.items() if name in _NUMBERS or name.endswith("_out_s")}
     return SimpleNamespace(**{**columns, **numbers, **derived})
 
 
 def _stage_values(stages: pd.DataFrame, trajectories: pd.DataFrame, row: Any, num_stages: Any) -> SimpleNamespace:
-    """Columns of sorted stages, and where each stands in its trajectory; `row` is that of trajectories."""
+    """Columns of sorted stages, and each stage's place in its trajectory; `row` is its row in trajectories."""
     last_row = np.cumsum(num_stages) - 1
     is_last = np.isin(np.arange(len(stages)), last_row)
     is_first = np.append(True, is_last[:-1])
@@ -238,7 +238,7 @@ def _stage_values(stages: pd.DataFrame, trajectories: pd.DataFrame, row: Any, nu
 
 
 def _find_two_at_one(stages: pd.DataFrame, values: Any, trajectory_row: Int[np.ndarray, " rows"]) -> None:
-    """Add where a robot begins with an object that another robot is at, which, and since when."""
+    """Add to `values` where a robot begins with an object that another robot is at, which robot, and since when."""
     begin_s = pd.Series(values.begin_s, index=stages.index)
     decides_again_s = begin_s.groupby([trajectory_row, stages[ROBOT]]).shift(-1).to_numpy()
     row = pd.Series(np.arange(len(stages)), index=stages.index)
@@ -255,7 +255,7 @@ def _find_two_at_one(stages: pd.DataFrame, values: Any, trajectory_row: Int[np.n
 
 
 class _RowOf(dict):
-    """Values of a row by name, as messages write them: numbers as they are, all else as it stands in the table."""
+    """Values of a row by name, for messages: arrays give the number itself, columns the value as shown."""
 
     def __init__(self, values: SimpleNamespace, row: int) -> None:
         super().__init__()

@@ -1,11 +1,11 @@
-"""What must hold for a log: one table of rules, each with what is wrong, and the remedy.
+"""The invariants of a log: a table of rules, each with an error message and a remedy.
 
-Tables are brought to these types and into order, and each rule is asked. Of several robots a stage belongs to the
-one that decided at its beginning, and what a robot began is over, at the latest, by the clock at which it decides
-again; what it began last may end at any time. Where stages tell in r_does what robot r is at as they begin ("WASH 3",
-"FREE"), that is believed: of two robots that are free at once, the first may take what the second has let go of,
-although that decides a moment later. A robot r that dropped out alone has the clock of that in r_out_s of its
-trajectory.
+Tables are converted to these types and sorted, then each rule is checked. With several robots a stage belongs to the
+one that decided at its beginning. An action of a robot is over, at the latest, by the clock at which that robot decides
+again; its last action may end at any time. The column r_does, if given, holds the activity of robot r as a stage begins
+("WASH 3", "FREE") and takes precedence: of two robots that are free at once, the first may take an object that the
+second has released, although the second decides a moment later. The column r_out_s of a trajectory is the clock at
+which robot r dropped out alone.
 """
 
 from collections.abc import Callable, Iterable
@@ -18,13 +18,13 @@ from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, is_of_one_
 from halfseen.shapes import Bool
 
 EARLIEST_DATE_S = 1e9
-"""What is longer is no trajectory but a date, or counted in milliseconds or less [s]; 32 years."""
+"""A longer time is a date, or not in seconds but in milliseconds or less [s]; 32 years."""
 UNIT_TOLERANCE = 1e-6
-"""How near to a power of 1,000 the ratio of a trajectory's end to its last stage must be to look like another unit."""
+"""How near to a power of 1,000 the ratio of a trajectory's end to its last stage must be to suggest mixed units."""
 ROUNDING = 1e-5
-"""By how much of a trajectory's end its last stage may seem to outlast it: times are rounded, or were subtracted."""
+"""How far the last stage may exceed its trajectory's end, as a fraction of it: times are rounded or differences."""
 LARGEST = 1e75
-"""Larger numbers cannot be squared twice as floats."""
+"""Fourth powers of larger numbers overflow a float."""
 
 
 # fmt: off
@@ -36,21 +36,21 @@ COLUMN_TYPES = {
     },
     "objects": {"trajectory": "name", "stage": "count", "object": "name"},
 }
-"""Types of the columns that have a meaning; those of one robot of several are in `type_of`."""
+"""Types of the reserved columns; `type_of` adds those of single robots."""
 # fmt: on
 
 Mask = Bool[np.ndarray, " rows"]
 
 
 class Rule(NamedTuple):
-    """What must not be."""
+    """An invariant, with the message for rows that violate it."""
 
     is_wrong: Callable[[Any], Mask]
-    """Which rows break it, from the table's columns and what is derived of them."""
+    """Rows that violate the rule, from the table's columns and values derived from them."""
     message: str
-    """What is wrong; names in braces stand for values of the row."""
+    """The error; names in braces are replaced by values of the row."""
     remedy: str
-    """What to do."""
+    """The fix."""
 
 
 # fmt: off
@@ -78,7 +78,7 @@ ORDER_RULES = (
     Rule(lambda s: s.is_completed & s.is_cut_stage,
          "elapsed_s {elapsed_s} completes the last stage of a cut trajectory",
          "add the stage in which the cut fell, with covariates and elapsed_s null, or make the ending 'finished'"),
-    # Where two robots of a team are free at once, the stage between their decisions takes no time.
+    # If two robots of a team are free at once, the stage between their decisions takes no time.
     Rule(lambda s: s.is_completed & ~((s.elapsed_s < np.inf) & ((s.elapsed_s > 0) | s.may_stand & (s.elapsed_s == 0))),
          "elapsed_s {elapsed_s} is no time after the trajectory's beginning", "fix the clock"),
     Rule(lambda s: (not s.may_stand) & s.is_completed & ~s.is_first & (s.elapsed_s == s.before_s),
@@ -119,21 +119,21 @@ OBJECT_RULES = (
 
 
 def own_reward_rule(column: str) -> Rule:
-    """Of what one robot brought in a stage."""
+    """Rule for a robot's own reward in a stage."""
     return Rule(lambda s: ~np.where(s.is_completed, np.isfinite(vars(s)[column]), np.isnan(vars(s)[column])),
                 f"{column} is {{{column}}}",
                 "give a finite number for each completed stage, and null for one that was not, or leave it out")
 
 
 def out_cause_rule(cause: str) -> Rule:
-    """Of why a robot dropped out."""
+    """Rule for the cause of a robot's drop-out."""
     clock, robot = cause.replace("_cause", "_s"), cause.split("_")[0]
     return Rule(lambda t: vars(t)[cause].notna().to_numpy() & np.isnan(vars(t).get(clock, np.nan)),
                 f"{cause} is given, yet {clock} is not", f"give the clock at which robot {robot} dropped out")
 
 
 def drop_out_rules(robot: int) -> tuple[Rule, Rule]:
-    """Of a robot that may drop out: of its clock in trajectories, and of what it decides in stages."""
+    """Rules for a robot that may drop out: one for its clock in trajectories, one for its decisions in stages."""
     clock = f"{robot}_out_s"
     return (
         Rule(lambda t: ~np.isnan(vars(t)[clock]) & ~((vars(t)[clock] > 0) & (vars(t)[clock] <= t.end_s)),
@@ -147,15 +147,15 @@ def drop_out_rules(robot: int) -> tuple[Rule, Rule]:
 
 
 def thousandfold(one: Any, other: Any, tolerance: float = UNIT_TOLERANCE) -> Any:
-    """A power of a thousand, if numbers are that many times others, as if units were mixed; else NaN."""
-    # A clock that still stands at 0 tells no unit.
+    """The ratio `one` / `other` if it is a power of 1,000, as with mixed units; else NaN."""
+    # A clock at 0 gives no hint of its unit.
     with np.errstate(divide="ignore", invalid="ignore"):
         thousands = np.log(one / np.where(other == 0.0, np.nan, other)) / np.log(1000.0)
         return np.where(np.abs(thousands - np.round(thousands)) < tolerance, 1000.0 ** np.round(thousands), np.nan)
 
 
 def type_of(table: str, column: str) -> str | None:
-    """Type of a column that has a meaning; None for others."""
+    """Type of a reserved column; None for others."""
     if is_of_one_robot(column) and is_own_reward(column) == (table == "stages") and table != "objects":
         return "name or null" if column.endswith("_out_cause") else "number"
     return COLUMN_TYPES[table].get(column)
@@ -166,12 +166,12 @@ _UNIT_REMEDY = f"give a text of one line and at most {MOST_UNIT_CHARS} character
 
 
 def checked_unit(unit: Any) -> str | None:
-    """Take a unit of rewards without the blanks around it; None where there is none.
+    """Strip and check a unit of rewards; None if there is none.
 
     Raises
     ------
     LogError
-        It is no short text.
+        It is not a short text.
     """
     if unit is None:
         return None
@@ -182,12 +182,12 @@ def checked_unit(unit: Any) -> str | None:
 
 
 def common_unit(units: Iterable[str | None]) -> str | None:
-    """The one unit of several logs; those that name none go with the others.
+    """The common unit of several logs; logs without one are compatible with any.
 
     Raises
     ------
     LogError
-        Two are in different ones.
+        Two logs have different units.
     """
     known = list(dict.fromkeys(unit for unit in units if unit is not None))
     if len(known) > 1:

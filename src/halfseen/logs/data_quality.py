@@ -1,7 +1,7 @@
-"""What looks wrong in logs that break no rule: legal, and probably not meant.
+"""Warnings about logs that violate no rule but are probably not as intended.
 
-Each check is a small function from `Logs` to sentences; most logs give none. A finding is a question to anyone who
-recorded the logs, never a reason to refuse them.
+Each check is a small function from `Logs` to sentences; most logs yield none. A warning is a question to the people
+who recorded the logs, never a reason to refuse them.
 """
 
 import json
@@ -42,26 +42,26 @@ FEWEST_ROWS, FEWEST_CUTS, FEWEST_TRAJECTORIES = 10, 5, 30
 FEWEST_IN_STATE, FEWEST_STAGES, RARE_SHARE = 50, 200, 0.01
 SAME_END, NEARLY_ALL, NUM_NAMED, MOST_SPELLINGS = 0.01, 0.99, 3, 1000
 AS_NUMBER = r"[+-]?(?:\d{1,3}(?:[.,'\u2019 ]\d{3})+(?:[.,]\d+)?|\d+,\d+)"
-"""A number with a decimal comma, or with separators of thousands."""
+"""A number with a decimal comma or thousands separators."""
 NAMES_OF_ENDS = {
     *("finished", "finish", "done", "success", "succeeded", "complete", "completed"),
     *("goal", "goal-reached", "cleared", "terminated", "terminal", "ok"),
 }
-"""Of what a task does by itself."""
+"""Causes that name the task's own end."""
 
 
 @dataclass(frozen=True)
 class DataWarning:
-    """Something that looks wrong."""
+    """A finding in a log that looks wrong."""
 
     kind: str
-    """Which check found it, for programs."""
+    """Name of the check, for programs."""
     sentence: str
-    """What was found, and what to look at, for people."""
+    """The finding and where to look, for people."""
 
 
 def data_warnings(logs: Logs) -> tuple[DataWarning, ...]:
-    """Look for what is legal in logs and probably not meant; empty where nothing was found."""
+    """Run all checks on valid logs; empty if nothing was found."""
     return tuple(DataWarning(kind, sentence) for kind, check in _CHECKS.items() for sentence in check(logs))
 
 
@@ -73,7 +73,7 @@ def _all_cut(logs: Logs) -> Iterator[str]:
 
 
 def _ends_among_causes(logs: Logs) -> Iterator[str]:
-    """What the task itself does is its end, whatever it is called."""
+    """Find causes of cuts that are the task's own end, whatever it is called."""
     for cause, num_trajectories in logs.trajectories["cause"].dropna().value_counts().sort_index().items():
         if str(cause).casefold().strip() in NAMES_OF_ENDS:
             yield (
@@ -83,7 +83,7 @@ def _ends_among_causes(logs: Logs) -> Iterator[str]:
 
 
 def _horizons(logs: Logs) -> Iterator[str]:
-    """A time limit of the task is its own end, not a cut: cuts at one time leave nothing to weigh what is later by."""
+    """Find cuts at one time. A time limit of the task is its own end; no importance weight reaches beyond such cuts."""
     for cause, ends in logs.trajectories[~logs.is_finished].groupby("cause")["end_s"]:
         middle_s = float(ends.median())
         num_same = int(((ends - middle_s).abs() <= SAME_END * middle_s).sum())
@@ -101,7 +101,7 @@ def _one_stage(logs: Logs) -> Iterator[str]:
 
 
 def _running_clocks(logs: Logs) -> Iterator[str]:
-    """One clock for all trajectories: whichever ends later also has its first stage after the others' ends."""
+    """Find one clock for all trajectories: each has its first stage after the ends of all earlier ones."""
     stages: Any = logs.stages
     clocks = stages.groupby("trajectory")["elapsed_s"].agg(["min", "max", "count"])
     clocks = clocks[clocks["count"] > 1].sort_values("max")
@@ -115,7 +115,7 @@ def _running_clocks(logs: Logs) -> Iterator[str]:
 
 
 def _text_order(logs: Logs) -> Iterator[str]:
-    """Names of trajectories that hold numbers are sorted as text."""
+    """Find names of trajectories that contain numbers but are sorted as text."""
     names = [name for name in logs.trajectory_ids if isinstance(name, str)]
     for one, other in pairwise(names):
         if _as_counted(one) > _as_counted(other):
@@ -127,12 +127,12 @@ def _text_order(logs: Logs) -> Iterator[str]:
 
 
 def _as_counted(name: str) -> tuple[tuple[int, str], ...]:
-    """What a name is sorted by if its numbers count."""
+    """Sort key of a name that compares its numbers as numbers."""
     return tuple((int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name))
 
 
 def _identifiers(logs: Logs) -> Iterator[str]:
-    """A policy that goes by the number of a part, or by the clock, meets only values that its log never held."""
+    """Find serial numbers and clocks among covariates: a policy that uses them meets only values outside its log."""
     if logs.num_trajectories < FEWEST_TRAJECTORIES:
         return
     stages: Any = logs.stages
@@ -176,7 +176,7 @@ def _one_action(logs: Logs) -> Iterator[str]:
 
 
 def _no_alternative(logs: Logs) -> Iterator[str]:
-    """States in which one action alone was ever tried, though others were elsewhere."""
+    """Find states in which only one action was ever tried, though others were tried elsewhere."""
     stages = rows_with(logs.stages, "action")
     action, names = coded(stages["action"])
     if len(names) < 2 or logs.has_objects:
@@ -218,7 +218,7 @@ def _rare_actions(logs: Logs) -> Iterator[str]:
 
 
 def _no_probability(logs: Logs) -> Iterator[str]:
-    """Only where there was something to choose from."""
+    """Warn only if there were several actions to choose from."""
     actions = logs.stages["action"].dropna()
     if "probability" not in logs.stages.columns and len(actions) >= FEWEST_ROWS and actions.nunique() > 1:
         yield (
@@ -236,7 +236,7 @@ def _no_exploration(logs: Logs) -> Iterator[str]:
 
 
 def _reward_as_covariate(logs: Logs) -> Iterator[str]:
-    """A reward that equals another number of its stage in every row was taken from the wrong column."""
+    """Find a reward that equals another numeric column in every row: it was taken from the wrong column."""
     completed: Any = logs.stages[logs.stages["reward"].notna()]
     if len(completed) < FEWEST_ROWS or completed["reward"].nunique() < 3:
         return
@@ -255,7 +255,7 @@ def _constant_covariates(logs: Logs) -> Iterator[str]:
     for name, values, _ in covariate_columns(logs):
         if len(values) < FEWEST_ROWS or not can_be_counted(values) or not is_one_kind(values):
             continue
-        # A count of what never happened is no dead sensor.
+        # A count that is always 0 is not a dead sensor.
         if not (pd.api.types.is_integer_dtype(values.dtype) and values.iloc[0] == 0):
             yield (
                 f"{name} is {shown(values.iloc[0])} in all {len(values)} rows: a dead sensor, or a column to leave out"
@@ -263,7 +263,7 @@ def _constant_covariates(logs: Logs) -> Iterator[str]:
 
 
 def _duplicates(logs: Logs) -> Iterator[str]:
-    """Trajectories that agree to the last digit in two measured durations are copies; whole steps may well agree."""
+    """Find copies: trajectories that agree to the last digit in two fractional durations. Whole numbers may agree."""
     stages: Any = logs.stages
     content = stages[["stage", "elapsed_s", "action", "reward"]].astype({"action": str})
     prints: Any = hash_pandas_object(content, index=False)  # pyright: ignore[reportCallIssue]
@@ -287,7 +287,7 @@ def _duplicates(logs: Logs) -> Iterator[str]:
 
 
 def _texts(values: Any) -> Any:
-    """What of a column is text."""
+    """The text values of a column."""
     return values[:0] if is_number(values) else values[values.map(lambda each: isinstance(each, str)).astype(bool)]
 
 

@@ -1,14 +1,14 @@
-"""Logs on disk: a folder of Parquet files that is there whole or not at all, or the journal of a recorder; its shards.
+"""Logs on disk: a folder of Parquet files, written all or nothing, or the journal of a recorder; and its shards.
 
 ::
 
     FOLDER/
-      logs.json          format, version, the number of rows of each table and, if somebody said, the unit of rewards
+      logs.json          format, version, number of rows of each table and, if known, the unit of rewards
       stages.parquet
       trajectories.parquet
-      objects.parquet    where the stages have objects
+      objects.parquet    if the stages have objects
 
-A shard is whole trajectories that stand one after another, which any process can read alone.
+A shard is a run of whole, consecutive trajectories that any process can read on its own.
 """
 
 import shlex
@@ -34,25 +34,25 @@ from halfseen.logs.recorded import journal_log
 from halfseen.reading import json_of, read_text, refused
 
 Place = Any
-"""A `Path`, or what does the same in a store (``UPath``)."""
+"""A `Path`, or its counterpart in an object store (``UPath``)."""
 
 
 def place_of(address: str | Path | Place) -> Place:
-    """Find a folder by its path or its address.
+    """The folder at a path or an address in a store.
 
     Raises
     ------
     LogError
-        There is no such kind of store, or what opens it is not installed.
+        The kind of store is unknown, or the library that opens it is not installed.
     """
     if not isinstance(address, str) or not is_remote(address):
         return address if not isinstance(address, str) else Path(address)
-    # A store needs a library that nothing else does.
+    # Only stores need this library.
     from upath import UPath
 
     try:
         place = UPath(address)
-        place.fs  # noqa: B018 - what opens the store loads here
+        place.fs  # noqa: B018 - loads the library that opens the store
     except (ImportError, ValueError) as error:
         reason = str(error).splitlines()[0].rstrip(".")
         raise LogError(f"{address}: it cannot be opened ({reason}); install that, or copy the folder here") from error
@@ -60,18 +60,18 @@ def place_of(address: str | Path | Place) -> Place:
 
 
 def is_remote(address: str) -> bool:
-    """Whether it is the address of a store."""
+    """Whether this is an address in a store."""
     return "://" in address
 
 
 @contextmanager
 def asking(place: Place) -> Iterator[None]:
-    """Tell what a store answers, whatever its library raises, in one line with the place.
+    """Report any error of a store's library in one line with the place.
 
     Raises
     ------
     LogError
-        The store refused, or was not reached.
+        The store refused the request or could not be reached.
     """
     try:
         yield
@@ -85,16 +85,16 @@ def asking(place: Place) -> Iterator[None]:
 
 
 FOREIGN_TABLES = (".csv", ".tsv", ".txt", ".parquet")
+"""Files of other programs that `halfseen convert` turns into logs by a mapping."""
 DATABASES = {".db": "sqlite", ".sqlite": "sqlite", ".sqlite3": "sqlite", ".duckdb": "duckdb"}
-"""How SQLAlchemy calls what a file holds, by its ending."""
-"""Files of other programs, of which `halfseen convert` makes logs by a mapping."""
+"""Names of databases in SQLAlchemy, by file extension."""
 MOST_PARTS = 64
-"""Of a shard; a worker that is lost takes with it what it was to read."""
+"""Largest number of parts in a shard; losing a worker loses its shard."""
 NUM_SHARDS = 64
-"""Of a log with enough parts, at least."""
+"""Smallest number of shards of a log with enough parts."""
 compute: Any = pyarrow.compute
 UNSORTED = "write the logs by Logs.write or write_stream, which sort them"
-"""What to do about a folder whose tables are not sorted."""
+"""Remedy for a folder with unsorted tables."""
 
 
 class Folder(NamedTuple):
@@ -102,11 +102,11 @@ class Folder(NamedTuple):
 
     place: Place
     num_rows: dict[str, int]
-    """Of each table."""
+    """Number of rows of each table."""
     reward_unit: str | None
-    """What rewards are counted in; None if nobody has said."""
+    """Unit of the rewards; None if unknown."""
     filling: Filling | None = None
-    """What stands for covariates of the stages that are null; None where null is refused."""
+    """Values that replace null in covariates of the stages; None if null is refused."""
 
     def opened(self, name: str) -> pq.ParquetFile:
         """Open a table.
@@ -117,7 +117,7 @@ class Folder(NamedTuple):
             The file is missing, broken, or has another number of rows.
         """
         file = self.place / f"{name}.parquet"
-        # Not read_table, which makes columns of a folder that is called a=b.
+        # Not read_table: it turns a folder name such as a=b into a column.
         with whole_table(file), asking(self.place):
             opened = parquet_file(file) if isinstance(file, Path) else pq.ParquetFile(file.open("rb"))
         if opened.metadata.num_rows != self.num_rows[name]:
@@ -141,7 +141,7 @@ class Folder(NamedTuple):
 
 
 def read_folder(folder: Place) -> dict[str, Any]:
-    """Read what `Logs` is made of, by name, whether `Logs.write` or a `LogRecorder` wrote the folder.
+    """Read the arguments of `Logs`, by name, whether `Logs.write` or a `LogRecorder` wrote the folder.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def read_folder(folder: Place) -> dict[str, Any]:
     for name in described.num_rows:
         with whole_table(folder / f"{name}.parquet"):
             tables[name] = frame_of(described.opened(name).read())
-        # What was read is as large again as the table, and Arrow would keep the room.
+        # The buffers read are as large as the table, and Arrow would keep their memory.
         pa.default_memory_pool().release_unused()
     return {**tables, "reward_unit": described.reward_unit}
 
@@ -167,7 +167,7 @@ def read_manifest(folder: Place) -> Folder:
     Raises
     ------
     LogError
-        The folder holds no logs or those of another version, or the unit is no short text.
+        The folder holds no logs or logs of another version, or the unit is not a short text.
     """
     refuse_no_folder(folder)
     file = folder / MANIFEST
@@ -191,7 +191,7 @@ def read_manifest(folder: Place) -> Folder:
 
 
 def _way_in(file: Path) -> str:
-    """What reads a file of another program."""
+    """Hint at the command that reads a file of another program."""
     if file.suffix in FOREIGN_TABLES:
         line = f"halfseen convert {shlex.quote(str(file))} --mapping-template --out cell.toml"
         return f"make a mapping of it: {line}"
@@ -202,7 +202,7 @@ def _way_in(file: Path) -> str:
 
 
 def refuse_no_folder(folder: Place) -> None:
-    """Refuse what is no folder, and say what reads it if it is a file (`LogError`)."""
+    """Refuse a path that is not a folder, and name the command that reads it if it is a file (`LogError`)."""
     with asking(folder):
         is_there = folder.is_dir()
     if isinstance(folder, Path) and folder.is_file():
@@ -213,7 +213,7 @@ def refuse_no_folder(folder: Place) -> None:
 
 
 def whole_table(file: Place) -> AbstractContextManager[None]:
-    """Refuse a table that cannot be read, and say why (`LogError`)."""
+    """Refuse a table that cannot be read, with the reason (`LogError`)."""
     missing = "it is missing; copy the whole folder, or write the logs again"
     return refused(file, "it is no whole Parquet file", "copy it again, or write the logs again", missing)
 
@@ -225,7 +225,7 @@ class Part(NamedTuple):
     trajectories: tuple[int, int]
     """Rows of the table of trajectories: the first, and the one after the last."""
     rows: dict[str, tuple[int, int]]
-    """Of the other tables."""
+    """The same for the other tables."""
 
 
 class Shard(NamedTuple):
@@ -241,7 +241,7 @@ class Shard(NamedTuple):
 
 
 class TableInGroups:
-    """A table of a folder, read by the groups of rows that hold what is wanted; one is held."""
+    """A table of a folder, read by row group; the last row group is cached."""
 
     def __init__(self, folder: Folder, name: str) -> None:
         self._file_name = folder.place / f"{name}.parquet"
@@ -251,7 +251,7 @@ class TableInGroups:
         self._group = lru_cache(maxsize=1)(self._file.read_row_group)
 
     def rows(self, begin: int, end: int) -> pa.Table:
-        """Read some rows (`LogError` where the file is broken)."""
+        """Read a range of rows (`LogError` if the file is broken)."""
         first = int(np.searchsorted(self._begin, begin, side="right")) - 1
         last = int(np.searchsorted(self._begin, end, side="left"))
         with whole_table(self._file_name):
@@ -260,12 +260,12 @@ class TableInGroups:
 
 
 def shards_of(folder: Folder, trajectories_at_once: int) -> list[Shard]:
-    """Deal the parts of a folder into shards, by its size alone.
+    """Divide the parts of a folder into shards, depending on its size alone.
 
     Raises
     ------
     LogError
-        A table has not as many trajectories, one after another, as that of the trajectories.
+        A table is not grouped by trajectory, or lacks rows of a trajectory.
     """
     num_trajectories = folder.num_rows["trajectories"]
     ends = {name: _ends(folder, name, trajectories_at_once) for name in folder.num_rows if name != "trajectories"}
@@ -279,7 +279,7 @@ def shards_of(folder: Folder, trajectories_at_once: int) -> list[Shard]:
 
 
 def _ends(folder: Folder, name: str, trajectories_at_once: int) -> np.ndarray:
-    """Rows of a table in which parts begin, and the number of its rows."""
+    """First row of each part in a table, followed by the number of its rows."""
     found, num_trajectories, num_rows, last = [], 0, 0, None
     for column in folder.batches(name, ["trajectory"]):
         is_new = np.ones(len(column), dtype=bool)

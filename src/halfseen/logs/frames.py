@@ -1,4 +1,4 @@
-"""What a table may come as, and the pandas frame as which it is kept: one that survives Parquet unchanged."""
+"""Input forms of a table, and the pandas frame as which it is stored: one that survives Parquet unchanged."""
 
 import json
 import re
@@ -16,7 +16,7 @@ from halfseen.reading import reason_of
 
 compute: Any = pyarrow.compute
 _KEPT_IN_ARROW = re.compile(r"(dictionary|(large_|fixed_size_)?list|struct|map|double|float|halffloat)\b.*\[pyarrow\]")
-"""Types of columns of pandas that become those of numpy."""
+"""Column types of pandas that become numpy types."""
 
 
 @runtime_checkable
@@ -32,30 +32,29 @@ FrameLike: TypeAlias = pd.DataFrame | ArrowStream | Mapping[str, Any]
 
 
 def as_frame(name: str, data: object, own_columns: Collection[str] = ()) -> pd.DataFrame:
-    """Copy a table into the form in which it is kept.
+    """Copy a table into the form in which it is stored.
 
-    The copy goes through Arrow, so that what is kept in memory and what comes back from disk are the same to the last
-    type: lists become arrays, and text is text. Parquet knows no categories but of text, so that numbers that are said
-    to be categories become text.
+    The copy goes through Arrow, so that tables in memory and tables read back from disk have the same types: lists
+    become arrays, and text is text. Parquet has only text categories, so numeric categories become text.
 
     Parameters
     ----------
     name
-        What the table is called, for messages.
+        Name of the table, for messages.
     data
         A pandas frame, an Arrow table or a dict of arrays.
     own_columns
-        Columns in which categories are names, and stay what they are.
+        Columns whose categories are names and keep their type.
 
     Raises
     ------
     LogError
-        The data are no table, or a column mixes types.
+        The data are not a table, or a column mixes types.
     """
     try:
         frame = data if isinstance(data, pd.DataFrame) else _from_other(data)
     except (ValueError, TypeError, LookupError, AttributeError, pa.ArrowException) as error:
-        # What pandas noted of an Arrow table may be broken.
+        # The pandas metadata of an Arrow table may be broken.
         raise LogError(
             f"{name}: not a table ({reason_of(error)}); give a pandas frame, an Arrow table or a dict of arrays"
         ) from error
@@ -67,7 +66,7 @@ def as_frame(name: str, data: object, own_columns: Collection[str] = ()) -> pd.D
 
 
 def through_arrow(name: str, frame: pd.DataFrame) -> pd.DataFrame:
-    """Take a frame to Arrow and back, after which doing so again changes nothing; its numbers are not copied."""
+    """Convert a frame to Arrow and back, so that a second conversion changes nothing; its numbers are not copied."""
     plain = _in_native_order(frame.copy(deep=False))
     plain.index, plain.attrs = pd.RangeIndex(len(frame)), {}
     others = [label for label, dtype in plain.dtypes.items() if not _is_number(dtype)]
@@ -88,14 +87,14 @@ def through_arrow(name: str, frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def _in_native_order(frame: pd.DataFrame) -> pd.DataFrame:
-    """Swap the bytes of numbers that stand as on another machine, such as those of HDF5 or netCDF."""
+    """Convert numbers to native byte order; those from HDF5 or netCDF may have the other."""
     dtypes = {label: dtype for label, dtype in frame.dtypes.items() if isinstance(dtype, np.dtype)}
     swapped = {label: dtype.newbyteorder("=") for label, dtype in dtypes.items() if not dtype.isnative}
     return frame.astype(swapped) if swapped else frame
 
 
 def _beyond_64_bits(frame: Any) -> str:
-    """Name the first whole number that has more bits than Arrow gives it."""
+    """Name the first whole number that does not fit into 64 bits."""
     for label, values in frame.items():
         for value in values[values.notna()] if values.dtype == object else ():
             if isinstance(value, int) and not -(2**63) <= value < 2**63:
@@ -104,7 +103,7 @@ def _beyond_64_bits(frame: Any) -> str:
 
 
 def _refuse_null_characters(name: str, table: pa.Table) -> None:
-    """Refuse text with NUL, at which other programs end it (`LogError`)."""
+    """Refuse text with NUL, which other programs read as its end (`LogError`)."""
     for label, column in zip(table.column_names, table.columns, strict=True):
         texts = column.cast(column.type.value_type) if pa.types.is_dictionary(column.type) else column
         if not (pa.types.is_string(texts.type) or pa.types.is_large_string(texts.type)):
@@ -127,14 +126,14 @@ def _with_categories_of_text(frame: pd.DataFrame, but: Collection[str]) -> pd.Da
 
 
 def _is_number(dtype: Any) -> bool:
-    """Tell whether Arrow gives a column of this type back as it is, and would cost time alone."""
+    """Whether Arrow returns a column of this type unchanged, so that the conversion can be skipped."""
     if isinstance(dtype, pd.BooleanDtype):
         return True
     return isinstance(dtype, np.dtype) and dtype.isnative and dtype.kind in "biuf" and dtype.itemsize in (1, 4, 8)
 
 
 def _stored_schema(schema: pa.Schema) -> pa.Schema:
-    """Parquet has no time stamps of whole seconds, nor categories but of text; so we have none."""
+    """Replace types that Parquet lacks: time stamps in whole seconds, and categories other than text."""
     for i, field in enumerate(schema):
         if pa.types.is_dictionary(field.type) and not pa.types.is_string(field.type.value_type):
             schema = schema.set(i, field.with_type(field.type.value_type))
@@ -152,7 +151,7 @@ def _from_other(data: object) -> pd.DataFrame:
 
 
 def frame_of(table: pa.Table) -> pd.DataFrame:
-    """Make a frame; whole numbers with nulls become fractions, but where fractions do not tell them apart."""
+    """Make a frame; whole numbers with nulls become floats, unless they are too large to be exact as floats."""
     frame = _with_plain_types(table).to_pandas()
     for name, column in zip(table.column_names, table.columns, strict=True):
         if column.null_count and pa.types.is_integer(column.type):
@@ -163,7 +162,7 @@ def frame_of(table: pa.Table) -> pd.DataFrame:
 
 
 def _with_plain_types(table: pa.Table) -> pa.Table:
-    """Leave out of pandas' notes what it kept in Arrow's own types, and cannot find again or tells NaN from null in."""
+    """Drop Arrow types from the pandas metadata: pandas cannot restore some, and others distinguish NaN from null."""
     notes = table.schema.pandas_metadata
     if not notes:
         return table
@@ -176,6 +175,6 @@ def _with_plain_types(table: pa.Table) -> pa.Table:
 def _column(values: Any) -> Any:
     if isinstance(values, pa.Array | pa.ChunkedArray):
         return frame_of(pa.table({"values": values}))["values"]
-    # Else pandas makes fractions of whole numbers among which one is null.
+    # Otherwise pandas turns whole numbers with a null into floats.
     is_list = isinstance(values, list | tuple)
     return np.array([*values, None], dtype=object)[:-1] if is_list and any(each is None for each in values) else values

@@ -1,4 +1,4 @@
-"""A log in groups: by cause, action, robot and stage; its columns, numbers by fifths and names by name."""
+"""A log grouped by cause, action, robot and stage; and its columns, grouped by quintile or by value."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -13,32 +13,32 @@ from halfseen.logs.logs import Logs
 
 NUM_GROUPS, MOST_CATEGORIES = 5, 12
 BEGINNING = 1000
-"""Rows that tell of most columns whether they have many kinds."""
+"""Number of first rows that suffice for most columns to see whether they have many distinct values."""
 
 
 class Grouped(NamedTuple):
-    """One covariate, in groups."""
+    """One covariate, split into groups."""
 
     name: str
     group: RowIds
-    """Of each row, from 0."""
+    """Group of each row, from 0."""
     words: tuple[str, ...]
-    """What each of the G groups holds: "below 3", "'red'"."""
+    """Description of each of the G groups: "below 3", "'red'"."""
 
     @property
     def num_groups(self) -> int:
-        """G."""
+        """Number of groups G."""
         return len(self.words)
 
 
 def rows_with(stages: Any, *columns: str, most: int | None = None) -> Any:
-    """Stages in which no column is null, the first of them; they are not copied where that is all."""
+    """Stages without null in these columns, at most the first `most`; not copied if those are all stages."""
     rows = np.flatnonzero(np.logical_and.reduce([stages[column].notna().to_numpy() for column in columns]))[:most]
     return stages if len(rows) == len(stages) else stages.iloc[rows]
 
 
 def grouped_covariates(logs: Logs, stages: Any) -> Iterator[Grouped]:
-    """Group each covariate of some of a log's stages."""
+    """Group each covariate of the given stages of a log."""
     for name in logs.stage_covariates:
         found = grouped(str(name), stages[name])
         if found is not None:
@@ -46,10 +46,10 @@ def grouped_covariates(logs: Logs, stages: Any) -> Iterator[Grouped]:
 
 
 def grouped(name: str, values: Any) -> Grouped | None:
-    """Group a column: numbers by fifths, or by value where there are few, text by value; None for one or too many."""
+    """Group a column: numbers by quintile, or by value if few, text by value; None for one or too many values."""
     if not can_be_counted(values):
         return None
-    # A beginning that has too many kinds answers for all.
+    # If the first rows already have too many distinct values, skip the rest.
     kinds = values.iloc[:BEGINNING].nunique()
     kinds = kinds if kinds > MOST_CATEGORIES else values.nunique()
     if not pd.api.types.is_numeric_dtype(values.dtype) or kinds <= NUM_GROUPS:
@@ -59,14 +59,14 @@ def grouped(name: str, values: Any) -> Grouped | None:
         return Grouped(name, code.astype(np.int64), tuple(map(shown, names)))
     numbers = values.to_numpy(dtype=np.float64, na_value=np.nan)
     ends = np.unique(np.nanquantile(numbers, np.arange(1, NUM_GROUPS) / NUM_GROUPS))
-    # What lies at an end lies below it: values that many rows share stay together.
+    # A value at a boundary belongs to the group below, so that equal values stay together.
     group = np.searchsorted(ends, np.where(np.isnan(numbers), ends[0], numbers), side="left")
     words = [f"{ends[0]:.3g} or less", *(f"{low:.3g} to {high:.3g}" for low, high in pairwise(ends))]
     return Grouped(name, group.astype(np.int64), (*words, f"above {ends[-1]:.3g}"))
 
 
 def covariate_columns(logs: Logs) -> Iterator[tuple[str, Any, Any]]:
-    """Each covariate of stages and objects: what to call it, its column, and the trajectory of each row."""
+    """Each covariate of stages and objects: its name for messages, its column, and the trajectory of each row."""
     for name in logs.stage_covariates:
         yield f"covariate {name}", logs.stages[name], logs.stages["trajectory"]
     if logs.objects is not None:
@@ -75,30 +75,30 @@ def covariate_columns(logs: Logs) -> Iterator[tuple[str, Any, Any]]:
 
 
 def is_number(values: Any) -> bool:
-    """Whether a column holds numbers, and not yes and no."""
+    """Whether a column is numeric and not boolean."""
     return pd.api.types.is_numeric_dtype(values.dtype) and not pd.api.types.is_bool_dtype(values.dtype)
 
 
 def can_be_counted(values: Any) -> bool:
-    """Whether the values of a column can be told apart and counted: there are no lists and no records among them."""
+    """Whether the values of a column can be counted: all are hashable, without lists or records."""
     is_plain = values.dtype != object or pd.api.types.infer_dtype(values, skipna=True) == "string"
     return is_plain or bool(values.map(pd.api.types.is_hashable).all())
 
 
 def coded(names: Any) -> tuple[RowIds, np.ndarray]:
-    """Number the names of a column without nulls, as text and in its order: the number of each row, and the names."""
+    """Encode the names of a column without nulls: the code of each row, and the names as sorted text."""
     code, kinds = pd.factorize(names)
     words, place = np.unique([str(kind) for kind in kinds], return_inverse=True)
     return place[code].astype(np.int64), words
 
 
 def is_one_kind(values: Any) -> bool:
-    """Whether all values of a column that can be counted are the same, nulls among them."""
+    """Whether all values of a countable column are equal, nulls included."""
     return values.iloc[:BEGINNING].nunique(dropna=False) == 1 == values.nunique(dropna=False)
 
 
 def by_cause(logs: Logs) -> list[dict[str, Any]]:
-    """Describe each cause of a cut, the most frequent first: its trajectories, when they were cut, in which stages.
+    """Describe each cause of a cut, most frequent first: its trajectories, when and in which stages they were cut.
 
     Returns
     -------
@@ -121,13 +121,13 @@ def by_cause(logs: Logs) -> list[dict[str, Any]]:
 
 
 def by_action(logs: Logs) -> list[dict[str, Any]]:
-    """Describe each action that was completed, the most frequent first: its stages, durations and rewards.
+    """Describe each completed action, most frequent first: its stages, durations and rewards.
 
     Returns
     -------
     list of dict
-        action, num_stages, share (a proportion of the completed stages), the median duration [s], the mean reward, and
-        the mean and the smallest probability with which it was taken, None where that was not logged.
+        action, num_stages, share (proportion of the completed stages), the median duration [s], the mean reward, and
+        the mean and smallest logged probability, None if it was not logged.
     """
     stages: Any = logs.stages.assign(duration_s=logs.durations_s())[logs.stages["elapsed_s"].notna()]
     table = stages.groupby("action", observed=True).agg(
@@ -140,7 +140,7 @@ def by_action(logs: Logs) -> list[dict[str, Any]]:
 
 
 def _ranked_rows(table: Any) -> list[dict[str, Any]]:
-    """Rows with their share, the most frequent first; equal ones stand in the order of the names."""
+    """Rows with their share, most frequent first; ties are ordered by name."""
     count = table.columns[0]
     table.insert(1, "share", table[count] / table[count].sum())
     rows = table.set_axis(table.index.map(str)).reset_index().to_dict("records")
@@ -148,12 +148,12 @@ def _ranked_rows(table: Any) -> list[dict[str, Any]]:
 
 
 def by_robot(logs: Logs) -> list[dict[str, Any]]:
-    """Count the decisions of each robot of a log of several, in the order of their names.
+    """Count the decisions of each robot, in the order of their names.
 
     Returns
     -------
     list of dict
-        robot, num_decisions, share (a proportion of the stages); none where stages do not say which robot decided.
+        robot, num_decisions, share (proportion of the stages); empty if stages do not name the robot that decided.
     """
     made = logs.stages[ROBOT].value_counts().sort_index() if ROBOT in logs.stages.columns else pd.Series(dtype=int)
     return [
@@ -163,12 +163,12 @@ def by_robot(logs: Logs) -> list[dict[str, Any]]:
 
 
 def by_stage(logs: Logs) -> list[dict[str, Any]]:
-    """Describe each stage: how many trajectories began and completed it, were cut in it, and how long it took.
+    """Describe each stage: how many trajectories began it, completed it and were cut in it, and its duration.
 
     Returns
     -------
     list of dict
-        stage, num_begun, num_completed, num_cut, and quantiles (5 %, 50 %, 95 %) of its duration [s], None where no
+        stage, num_begun, num_completed, num_cut, and quantiles (5 %, 50 %, 95 %) of its duration [s], None if no
         trajectory completed it.
     """
     table: list[dict[str, Any]] = []

@@ -1,7 +1,7 @@
-"""The later part of a log; and several logs as one: in memory, part by part on disk, and many folders of a fleet.
+"""Joining logs in memory, part by part on disk, and across many folders of a fleet; and the later part of a log.
 
-Folders are read twice, one after the other: for the types of their columns, which must agree, and to be written. No
-more than some thousand trajectories are in memory.
+Folders are read twice, one after the other: first for the types of their columns, which must agree, then for writing.
+No more than a few thousand trajectories are in memory.
 """
 
 import os
@@ -28,23 +28,23 @@ from halfseen.writing import placed, refuse_taken
 
 
 def joined(parts: Sequence[Logs]) -> Logs:
-    """Put logs of different trajectories together.
+    """Join logs of different trajectories.
 
     Parameters
     ----------
     parts
-        At least one; no trajectory is in two of them, and all have objects or none has.
+        At least one log; no trajectory is in two of them, and all have objects or none has.
 
     Raises
     ------
     LogError
-        There is none, only some have objects, a trajectory is in two, or rewards are in two units.
+        There is no log, only some have objects, a trajectory is in two, or rewards are in two units.
     """
     if not parts:
         raise LogError("there is no log to join; give at least one")
     if len({part.objects is None for part in parts}) > 1:
         raise LogError("only some of the logs have objects; join those that have and those that have none apart")
-    # By Arrow: a column that is null throughout one log has no type there, and takes that of the others.
+    # Through Arrow: a column that is all null in one log has no type there, and takes that of the others.
     frames = {name: [part.tables[name] for part in parts] for name in parts[0].tables}
     arrow = {name: [pa.Table.from_pandas(each, preserve_index=False) for each in of] for name, of in frames.items()}
     tables: Any = {name: pa.concat_tables(of, promote_options="permissive") for name, of in arrow.items()}
@@ -59,14 +59,14 @@ def write_stream(
     overwrite: bool = False,
     schemas: Mapping[str, pa.Schema] | None = None,
 ) -> None:
-    """Write a log that comes in parts, all or nothing; no more than one part is in memory.
+    """Write a log that arrives in parts, all or nothing; no more than one part is in memory.
 
     Parameters
     ----------
     parts
-        Logs of different trajectories; the names increase from part to part, as they do within one.
+        Logs of different trajectories, sorted by name across parts as within a log.
     folder
-        Where to.
+        Target folder.
     overwrite
         Replace logs that are already there.
     schemas
@@ -117,7 +117,7 @@ def write_stream(
 
 
 def _without_nulls(schema: pa.Schema) -> pa.Schema:
-    """A column that is empty in the first part, such as the causes of cuts, may be text in a later one."""
+    """Make columns that are all null in the first part text, such as causes of cuts: a later part may hold text."""
     for i, field in enumerate(schema):
         if pa.types.is_null(field.type):
             schema = schema.set(i, field.with_type(pa.string()))
@@ -125,17 +125,17 @@ def _without_nulls(schema: pa.Schema) -> pa.Schema:
 
 
 RUN, RUN_TRAJECTORY = "run", "run_trajectory"
-"""Columns of the trajectories that tell where each comes from: its folder, and its name there."""
+"""Columns with the origin of each trajectory: its folder, and its name there."""
 
 
 class Compacted(NamedTuple):
-    """What became of many folders."""
+    """Counts of the folders joined by `compact`."""
 
     num_folders: int
     num_trajectories: int
     num_stages: int
     num_running: int
-    """Trajectories that are still being recorded, and were left out."""
+    """Trajectories left out because they are still being recorded."""
 
 
 def compact(
@@ -147,27 +147,27 @@ def compact(
 ) -> Compacted:
     """Write the logs of many folders into one, all or nothing.
 
-    Trajectories are renumbered, in the order of the folders; the columns ``run`` and ``run_trajectory`` of
-    `Logs.trajectories` say what they were called in which folder. Those that are still being recorded are left out.
+    Trajectories are renumbered in the order of the folders; the columns ``run`` and ``run_trajectory`` of
+    `Logs.trajectories` hold their folder and their name there. Those that are still being recorded are left out.
 
     Parameters
     ----------
     folders
-        Logs of any form that `read_logs` reads, or their addresses in an object store.
+        Logs in any format that `read_logs` reads, or their addresses in an object store.
     out
         Folder to write.
     overwrite
         Replace logs that are already there.
     on_progress
-        Called after each folder has been read, twice for each.
+        Called each time a folder has been read, which is twice per folder.
 
     Raises
     ------
     ArgumentError
         No folder is given, one is given twice, or `out` cannot be written.
     LogError
-        A folder is none or broken; or two do not go together: a column is of two types, or only one has it; or rewards
-        are in two units.
+        A folder is missing or broken; or two are incompatible: a column has two types or is in only one of them, or
+        rewards are in two units.
     """
     runs = [place_of(folder) for folder in folders]
     _refuse_repeated(runs)
@@ -194,7 +194,7 @@ def _refuse_repeated(runs: Sequence[Place]) -> None:
         raise ArgumentError("no folder is given; give at least one")
     seen: dict[object, Place] = {}
     for run in runs:
-        # A trajectory's own `resolve` raises where links go in a circle.
+        # `Path.resolve` raises on circular links.
         place = os.path.realpath(run) if isinstance(run, Path) else run.resolve()
         if place in seen:
             raise ArgumentError(f"{run} and {seen[place]} are the same folder; give it once")
@@ -202,7 +202,7 @@ def _refuse_repeated(runs: Sequence[Place]) -> None:
 
 
 def _ended(logs: Logs) -> tuple[Logs | None, int]:
-    """Leave out trajectories that are still being recorded, and count them."""
+    """The log without trajectories that are still being recorded, and their number."""
     is_running = (logs.trajectories["cause"] == STILL_RUNNING).to_numpy(dtype=bool)
     if is_running.all():
         return None, len(is_running)
@@ -211,7 +211,7 @@ def _ended(logs: Logs) -> tuple[Logs | None, int]:
 
 
 def _parts(runs: Sequence[Place], on_progress: Callable[[], object]) -> Iterator[Logs]:
-    """Logs of some thousand trajectories, renumbered."""
+    """Renumbered logs of a few thousand trajectories each."""
     held, num_held, first = [], 0, 0
     for run in runs:
         found, _ = _ended(read_logs(run, missing=KEEP))
@@ -228,7 +228,7 @@ def _parts(runs: Sequence[Place], on_progress: Callable[[], object]) -> Iterator
 
 
 def _named(logs: Logs, run: Place, first: int) -> dict[str, pd.DataFrame]:
-    """Tables of a log whose trajectories are numbered from `first`, and which say where they come from."""
+    """Tables of a log with trajectories numbered from `first` and columns for their origin."""
     number = pd.Series(range(first, first + logs.num_trajectories), index=pd.Index(logs.trajectory_ids))
     tables = {
         name: table.assign(trajectory=number.loc[table["trajectory"]].to_numpy()) for name, table in logs.tables.items()
@@ -242,7 +242,7 @@ def _named(logs: Logs, run: Place, first: int) -> dict[str, pd.DataFrame]:
 def _agreed(
     schemas: dict[str, pa.Schema], run: Place, first: Place, tables: dict[str, pd.DataFrame]
 ) -> dict[str, pa.Schema]:
-    """Types that serve what was read so far and one folder more."""
+    """Types that fit the folders read so far and one more folder."""
     here = {name: pa.Schema.from_pandas(table, preserve_index=False) for name, table in tables.items()}
     if not schemas:
         return here
@@ -255,7 +255,8 @@ def _agreed(
 
 
 _MAY_LACK = {"stages": {"object", STEPPED_BACK}, "objects": set()}
-"""Columns that may be null; what else stages and objects have was seen of each, or of none. Of trajectories all may."""
+"""Columns that a folder may lack. All other columns of stages and objects must be in every folder or in none; those of
+trajectories may all be lacking."""
 
 
 def _unified(table: str, before: pa.Schema, here: pa.Schema, run: Place, first: Place) -> pa.Schema:
@@ -278,19 +279,19 @@ def _unified(table: str, before: pa.Schema, here: pa.Schema, run: Place, first: 
 
 
 def since(logs: Logs, when: str | int | datetime) -> Logs:
-    """Keep the trajectories from one on, in the order of their names; or from a date on.
+    """Keep the trajectories from a given one on, in the order of their names; or from a date on.
 
     Parameters
     ----------
     logs
         The log.
     when
-        Name of the first one that is kept; or a date, where the trajectories have a column of dates.
+        Name of the first trajectory to keep; or a date, if the trajectories have a column of dates.
 
     Raises
     ------
     ArgumentError
-        There is no such trajectory, and no such date.
+        `when` matches no trajectory and no date.
     """
     dates = [name for name in logs.trajectory_columns if pd.api.types.is_datetime64_any_dtype(logs.trajectories[name])]
     is_kept = _from_name(logs, when) if not isinstance(when, datetime) else None

@@ -1,29 +1,29 @@
-"""The journal: what a recorder saw, one event a line, each line chained to those above it by a checksum.
+"""The journal of a recorder: one event per line, each line chained to the line above by a checksum.
 
 ::
 
     FOLDER/
-      journal.jsonl      the first; anyone who records holds its lock, whichever part is written
-      journal-2.jsonl    between two trajectories it goes on in another file once one is large
-      journal-3.jsonl    the last, which is gone on with
+      journal.jsonl      the first part; the recorder holds its lock, whichever part it writes
+      journal-2.jsonl    once a part is large, the next trajectory begins a new part
+      journal-3.jsonl    the last part, to which the recorder appends
 
-Each is a whole journal by itself: parts may be copied and read one by one, and those between the first and the last
-moved away. The first stays as long as somebody records: without it another recorder would find no lock.
+Each part is a complete journal: parts may be copied and read one by one, and those between the first and the last
+moved away. The first must stay during recording, or another recorder would find no lock.
 
 A line is a JSON array of a checksum and an event: ``["9f3c2a11",{"event":"done","at_s":4.5,"reward":1.0}]``. The
-checksum is the CRC-32 of the event's bytes that goes on from the checksum of the line above, so that a line that was
-changed, moved or lost shows. A last line without its end was torn by a kill or a full disk, and is ignored.
+checksum is the CRC-32 of the event's bytes, continued from the checksum of the line above. It reveals a line that was
+changed, moved or lost. A last line without a line end was torn by a kill or a full disk, and is ignored.
 
-After a loss of power a page in the middle may hold zeros. Lines that do not check are left out: what is above them is
-kept, and so is what is below, from the first line whose checksum goes on from the one that the line above it states. A
-session that begins below such lines may begin from 0.
+After a power failure a page in the middle may hold zeros. Lines that fail the check are left out. The lines above are
+kept, and so are those below, from the first line whose checksum continues the one that the line above it states. A
+session below such lines may start its chain from 0.
 
 Events, with the clock `at_s` of the trajectory [s]:
 
 ==========  ===========================================================================================================
 journal     the first line: format and version
-session     a recorder was opened; a trajectory in progress above it was torn; ``reward_unit`` where it is known
-resumed     below a session: that trajectory goes on
+session     a recorder was opened; a trajectory in progress above it was interrupted; ``reward_unit`` if known
+resumed     after a session: the interrupted trajectory goes on
 stage       a stage began: trajectory, stage, covariates, objects, robot, action, object, probability,
             stepped_back; the first one also has ``columns``
 done        the stage in progress was completed: reward; ``is_given`` where the clock was given, not read
@@ -52,30 +52,30 @@ from halfseen.writing import is_locked
 FORMAT, VERSION = "halfseen-journal", 2
 HEADER = {"event": "journal", "format": FORMAT, "version": VERSION}
 OLDER = HEADER | {"version": 1}
-"""Of a journal whose trajectories were called paths."""
+"""Header of older journals, in which trajectories were called paths."""
 
 MOST_LINE_BYTES = 256 * 10**6
-"""Of an event; memory holds one at a time."""
+"""Size limit of an event; memory holds one at a time."""
 
 HOLE = {"event": "hole"}
-"""Given in the place of lines that do not check."""
+"""Yielded in place of lines that fail the check."""
 
 MOST_TOLD = 5
-"""Rows of such lines that a warning names."""
+"""Number of runs of such lines that a warning names."""
 
 _SESSION = b'{"event":"session"'
 _CHECKSUM, _EVENT = slice(2, 10), slice(12, -2)
 
 
 def journal_line(event: dict[str, Any], checksum: int) -> tuple[bytes, int]:
-    """Write an event as a line, by the checksum of the line above, 0 for the first.
+    """Write an event as a line; `checksum` is that of the line above, 0 for the first line.
 
     Returns
     -------
     line : bytes
-        With its end.
+        The line with its line end.
     checksum : int
-        Its own checksum.
+        Checksum of the line.
     """
     body = json.dumps(event, separators=(",", ":"), allow_nan=False).encode()
     checksum = zlib.crc32(body, checksum)
@@ -93,13 +93,13 @@ class JournalEvents:
     Attributes
     ----------
     num_lines, num_bytes
-        Whole lines read so far, and their bytes.
+        Complete lines read so far, and their bytes.
     checksum
-        What the last of them states; None where it states none.
+        Checksum that the last line states; None if it states none.
     holes
-        Numbers of the first and the last of lines that do not check, for each row of such lines.
+        First and last line number of each run of lines that fail the check.
     reward_unit
-        What rewards are counted in, as the first recorder said that did; None if none did.
+        Unit of the rewards, from the first session that states one; None if none does.
     """
 
     def __init__(self, file: Path) -> None:
@@ -140,7 +140,7 @@ class JournalEvents:
 
     @property
     def _is_in_hole(self) -> bool:
-        """Whether the line above the one that is read does not check."""
+        """Whether the line above the current one failed the check."""
         return bool(self.holes) and self.holes[-1][1] >= self.num_lines - 1
 
     def _leave_out(self) -> None:
@@ -148,7 +148,7 @@ class JournalEvents:
         self.holes.append((first, self.num_lines))
 
     def tell_holes(self) -> None:
-        """Warn of lines that do not check, in one line."""
+        """Warn about lines that fail the check, in one line."""
         if not self.holes:
             return
         lost = ", ".join(
@@ -163,11 +163,11 @@ class JournalEvents:
         )
 
     def refusal(self, trouble: str) -> LogError:
-        """Name the line that was read last."""
+        """Error that names the line read last."""
         return LogError(f"{self.file}, line {self.num_lines}: {trouble}")
 
     def _event(self, line: bytes) -> dict[str, Any] | None:
-        """The event of a line; None where it does not check."""
+        """The event of a line; None if it fails the check."""
         above, self.checksum = self.checksum, _stated(line)
         body = line[_EVENT]
         is_chained = above is not None and zlib.crc32(body, above) == self.checksum
@@ -184,7 +184,7 @@ class JournalEvents:
 
 @contextmanager
 def following(events: JournalEvents) -> Iterator[None]:
-    """Refuse an event that checks and does not go on from those above it."""
+    """Refuse an event that passes the check but cannot follow those above it."""
     try:
         yield
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
@@ -210,7 +210,7 @@ def _parsed(body: bytes) -> dict[str, Any] | None:
 
 JOURNAL = "journal.jsonl"
 PART_BYTES = 256 * 10**6
-"""Size from which on a trajectory begins in another part [B]."""
+"""Size above which the next trajectory begins a new part [B]."""
 
 _PART = re.compile(r"journal(?:-([1-9]\d{0,8}))?\.jsonl")
 
@@ -221,18 +221,18 @@ def is_journal(folder: Path) -> bool:
 
 
 def journal_parts(folder: Path) -> list[Path]:
-    """The parts that are there, in the order of what was recorded."""
+    """The parts in a folder, in the order of recording."""
     files = folder.iterdir() if folder.is_dir() else ()
     return sorted((file for file in files if _PART.fullmatch(file.name) and file.is_file()), key=_number)
 
 
 def part_after(part: Path) -> Path:
-    """The part that follows one, whether or not it is there."""
+    """The path of the next part, whether or not it exists."""
     return part.with_name(f"journal-{_number(part) + 1}.jsonl")
 
 
 def tell_missing(parts: list[Path]) -> None:
-    """Warn where parts are missing between others, in one line; that those before the first are gone is no harm."""
+    """Warn in one line if parts are missing between others; parts missing before the first are ignored."""
     numbers = [_number(part) for part in parts if part.stat().st_size > 0]
     missing = [part_after(parts[0].with_name(f"journal-{a}.jsonl")).name for a, b in pairwise(numbers) if b > a + 1]
     if missing:
@@ -249,7 +249,7 @@ def _number(part: Path) -> int:
 
 
 def is_being_recorded(folder: Path) -> bool:
-    """Tell whether some process records into this folder; none does where files cannot be locked."""
+    """Whether a process records into this folder; False where files cannot be locked."""
     try:
         descriptor = os.open(folder / JOURNAL, os.O_RDONLY)
     except FileNotFoundError:

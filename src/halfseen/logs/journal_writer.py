@@ -1,7 +1,7 @@
-"""A journal that is written: by one process, one line at a time, and nothing half-written is left behind.
+"""Writing a journal: by one process, one line at a time, without leaving partial lines behind.
 
-What was handed to the operating system outlives the process, not the machine: it lies in memory until the disk has it,
-up to half a minute. `os.fsync` waits for the disk.
+Data handed to the operating system survives the process but not the machine: it stays in memory for up to half a
+minute before it is on the disk. `os.fsync` waits for the disk.
 """
 
 import os
@@ -24,16 +24,16 @@ FSYNC: dict[str, Container[str]] = {
     "stage": ("stage", "finished", "cut"),
     "event": ("stage", "done", "running", "out", "finished", "cut"),
 }
-"""After which events the disk is waited for; whatever came before them is then on it, too."""
+"""Events after which to wait for the disk; all earlier events are then on it, too."""
 
 
 def synced_events(fsync: bool | str) -> Container[str]:
-    """The events after which the disk is waited for; True stands for all of them, False for none.
+    """Events after which to wait for the disk; True means all of them, False none.
 
     Raises
     ------
     ArgumentError
-        It is none of those that there are.
+        `fsync` is unknown.
     """
     name = ("never", "event")[fsync] if isinstance(fsync, bool) else fsync
     if name not in FSYNC:
@@ -42,31 +42,31 @@ def synced_events(fsync: bool | str) -> Container[str]:
 
 
 def sync(descriptor: int) -> None:
-    """Wait until the disk has a file or folder.
+    """Wait until a file or folder is on the disk.
 
     Raises
     ------
     OSError
-        It cannot take it.
+        The disk cannot store it.
     """
     if sys.platform == "darwin":
         import fcntl
 
-        with suppress(OSError):  # What fsync does elsewhere; not all file systems know it.
+        with suppress(OSError):  # The equivalent of fsync elsewhere; not all file systems support it.
             fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)
             return
     os.fsync(descriptor)
 
 
 def unsynced_folders(folder: Path) -> list[Path]:
-    """A folder and those above it that need to be on the disk for it to be found, as far as they are made with it."""
+    """A folder and those above it to sync so that it can be found: the ones created with it, and the one above them."""
     above = folder.absolute().parents
     num_missing = next(number for number, each in enumerate(above) if each.exists())
     return [folder, *above[: num_missing + 1]]
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until the disk has the names that are in a folder; one that may not be read is left alone."""
+    """Wait until the names in a folder are on the disk; an unreadable folder is skipped."""
     with suppress(PermissionError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:
@@ -81,7 +81,7 @@ LOCK_TRIES, LOCK_PAUSE_S = 3, 0.02
 
 
 class _Held(NamedTuple):
-    """What a journal holds for good, of the part that is written."""
+    """Committed state of a journal, with the part that is being written."""
 
     part: Path
     descriptor: int
@@ -96,22 +96,22 @@ class JournalWriter:
     Parameters
     ----------
     folder
-        Where the journal lies or shall lie; missing parents are made.
+        Folder of the journal; it and missing parents are created.
     synced
-        The events after which the disk is waited for.
+        Events after which to wait for the disk.
     restore
         Called with each event that the journal already holds.
     reward_unit
-        What rewards are counted in; None for what the journal already says, if it does.
+        Unit of the rewards; None for the unit already in the journal, if any.
     part_bytes
-        Size from which on a trajectory begins in another part [B].
+        Size above which the next trajectory begins a new part [B].
 
     Raises
     ------
     ArgumentError
-        Another recorder has the folder, or it cannot be written.
+        Another recorder holds the folder, or it cannot be written.
     LogError
-        The journal is corrupted, or rewards above are in another unit.
+        The journal is corrupted, or its rewards are in another unit.
     """
 
     def __init__(
@@ -148,12 +148,12 @@ class JournalWriter:
 
     @property
     def is_closed(self) -> bool:
-        """True once it takes no more events."""
+        """True once it accepts no more events."""
         return self._lock is None
 
     @property
     def known(self) -> Any:
-        """What the recorder knows after the last event."""
+        """State of the recorder after the last event."""
         return self._held.known
 
     @known.setter
@@ -168,7 +168,7 @@ class JournalWriter:
         event
             The event.
         known
-            What the recorder knows once it is written: both hold, or neither, whenever Ctrl-C comes.
+            State of the recorder after it; both are stored or neither, whenever Ctrl-C comes.
 
         Raises
         ------
@@ -194,30 +194,30 @@ class JournalWriter:
         self._is_torn = False
 
     def close(self) -> None:
-        """Let the journal go; closing twice is no harm."""
+        """Release the journal; closing twice is harmless."""
         if self._lock is None:
             return
         if os.getpid() == self._process:
             with suppress(OSError):
                 self._take_back()
-        # Not unlocked: in a fork that would take the lock from the process that records.
+        # Do not unlock: in a fork that would release the lock of the recording process.
         lock, self._lock = self._lock, None
         for each in {lock, self._held.descriptor}:
             os.close(each)
 
     def _begin(self, part: Path, descriptor: int, num_bytes: int, checksum: int) -> None:
-        """Begin a session below what a part holds so far, and take it for the one that is written."""
+        """Begin a session after the existing lines of a part, and make it the part that is written."""
         session = {"event": "session"} | ({} if self._reward_unit is None else {"reward_unit": self._reward_unit})
         lines = b""
         for event in (session,) if num_bytes else (journal.HEADER, session):
             line, checksum = journal.journal_line(event, checksum)
             lines += line
-        os.ftruncate(descriptor, num_bytes)  # what a kill tore
+        os.ftruncate(descriptor, num_bytes)  # drop a line torn by a kill
         _write(descriptor, lines, bool(self._synced))
         self._held = _Held(part, descriptor, num_bytes + len(lines), checksum, self.known)
 
     def _begin_part(self) -> None:
-        """Go on in the part that follows; until that is there whole, the one before is the one that is written."""
+        """Switch to the next part; the old part stays current until the new one is complete."""
         before, part = self._held.descriptor, journal.part_after(self._held.part)
         descriptor = os.open(part, _FLAGS)
         try:
@@ -229,14 +229,14 @@ class JournalWriter:
             sync_folder(part.parent)
 
     def _take_back(self) -> None:
-        """Take back what was written of an event that its caller does not know of: Ctrl-C or a full disk came first."""
+        """Remove the bytes of an event that was not committed because of Ctrl-C or a full disk."""
         if self._is_torn:
             os.ftruncate(self._held.descriptor, self._held.num_bytes)
             self._is_torn = False
 
     @contextmanager
     def _telling(self) -> Iterator[None]:
-        """Take back what the disk did not take, and say so."""
+        """Remove an event that the disk could not store, and report the error."""
         try:
             yield
         except OSError as error:
@@ -250,7 +250,7 @@ class JournalWriter:
 
 
 def _restored(part: Path, restore: Callable[[dict[str, Any]], None]) -> journal.JournalEvents:
-    """Read a part to its end, an event at a time."""
+    """Read a part to its end, one event at a time."""
     events = journal.JournalEvents(part)
     for event in events:
         with journal.following(events):
@@ -268,7 +268,7 @@ def _write(descriptor: int, lines: bytes, is_synced: bool) -> None:
 
 
 def _locked(folder: Path, file: Path) -> int:
-    """Open the file whose lock stands for the folder, once nobody else has it."""
+    """Open the file whose lock protects the folder, once no other process holds it."""
     for _ in range(LOCK_TRIES):
         descriptor = _opened(folder, file)
         if descriptor is not None:
@@ -282,7 +282,7 @@ def _locked(folder: Path, file: Path) -> int:
                     "into a folder on a disk of this machine"
                 ) from error
             os.close(descriptor)
-        # A reader that asks who records holds the lock for a moment; who recorded here may have removed the folder.
+        # A reader briefly holds the lock to see if a recorder runs; an earlier recorder may have removed the folder.
         time.sleep(LOCK_PAUSE_S)
     raise ArgumentError(
         f"{folder}: another recorder, of this or another process, is recording into it; close that one, or choose "
@@ -291,7 +291,7 @@ def _locked(folder: Path, file: Path) -> int:
 
 
 def _opened(folder: Path, file: Path) -> int | None:
-    """Open the journal; None where the folder goes just now."""
+    """Open the journal; None if the folder is being removed."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         return os.open(file, _FLAGS, 0o644)
@@ -302,7 +302,7 @@ def _opened(folder: Path, file: Path) -> int | None:
 
 
 def _is_there(descriptor: int, file: Path) -> bool:
-    """Whether what is open still goes by this name."""
+    """Whether the open file still has this name."""
     try:
         return os.path.samestat(os.fstat(descriptor), file.stat())
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""The record of what happened: trajectories, their stages, the objects that stood there."""
+"""A log: trajectories, their stages, and the objects in each stage."""
 
 from collections import Counter
 from copy import copy
@@ -35,20 +35,20 @@ class LogsSummary:
     Parameters
     ----------
     num_trajectories, num_finished, num_cut
-        Trajectories, and how they ended.
+        Number of trajectories, of those that finished, and of those that were cut.
     cut_share
         Proportion of the trajectories that were cut, in [0, 1].
     num_stages, num_completed
-        Stages of all trajectories, and those that were completed.
+        Number of stages in all trajectories, and of those that were completed.
     horizon
-        Stages of the longest trajectory.
+        Number of stages in the longest trajectory.
     shortest_s, longest_s
         The earliest and the latest observed end of a trajectory [s].
     causes, actions
-        Number of trajectories for each cause of a cut, and of completed stages for each action, the most frequent
+        Number of trajectories for each cause of a cut, and of completed stages for each action, most frequent
         first.
     num_objects
-        Number of different objects' names; 0 where the stages have none.
+        Number of distinct object names; 0 if the stages have no objects.
     """
 
     num_trajectories: int
@@ -74,38 +74,38 @@ class LogsSummary:
 
 
 class Logs:
-    """Trajectories of a robot, one an episode, each finished or cut, checked once when the log is made.
+    """A robot's trajectories, one per episode, each finished or cut. The log is checked once, when it is made.
 
-    The tables are copied and sorted; do not change them in place. What they must satisfy is in `halfseen.logs.checks`.
+    The tables are copied and sorted; do not change them in place. `halfseen.logs.checks` has their invariants.
 
     Parameters
     ----------
     stages
-        One row a stage: trajectory, stage (from 1), elapsed_s (clock at the end of the stage [s], null if not
-        completed), action, object (null where the action has none; may be left out), reward (null if not completed),
-        probability (of the logged action; may be left out), and covariates. Of several robots also robot (which
-        decided) and, for each robot r from 0, r_reward (what it alone brought, null if not completed; may be left out).
+        One row per stage: trajectory, stage (from 1), elapsed_s (clock at the end of the stage [s], null if not
+        completed), action, object (null if the action has none; optional), reward (null if not completed),
+        probability (of the logged action; optional), and covariates. With several robots also robot (the one that
+        decided) and, for each robot r from 0, r_reward (its own reward, null if not completed; optional).
     trajectories
-        One row a trajectory: trajectory, end_s [s], ending ("finished" | "cut"), cause (null unless cut; may be left
-        out), and whatever else is known of the trajectory. Where a robot r may drop out alone, r_out_s and r_out_cause
+        One row per trajectory: trajectory, end_s [s], ending ("finished" | "cut"), cause (null unless cut; optional),
+        and any further columns of the trajectory. Where a robot r may drop out alone, r_out_s and r_out_cause
         (null where it did not).
     objects
-        One row an object of a stage: trajectory, stage, object, and covariates of the object, lists included; None
-        where the stages have no objects.
+        One row per object of a stage: trajectory, stage, object, and covariates of the object, lists included; None
+        if the stages have no objects.
     reward_unit
-        What rewards are counted in, such as "parts": a short text, for people; None if nobody has said.
+        Unit of the rewards, such as "parts": a short text, for people; None if unknown.
     missing
-        What stands for covariates of the stages that are null: ``"median+flag"``, ``"last"`` or ``"refuse"``, for all
+        What replaces null in covariates of the stages: ``"median+flag"``, ``"last"`` or ``"refuse"``, for all
         or by column (``"*"`` for all others), or the `filling` of another log (see `halfseen.logs.missing`); None to
-        refuse null, ``"keep"`` to let it stand.
+        refuse null, ``"keep"`` to keep it.
 
     Raises
     ------
     LogError
-        The tables break an invariant; the trajectory, the stage, the value and the remedy are named. Or the unit is no
-        short text.
+        The tables violate an invariant; the message names the trajectory, the stage, the value and the remedy. Or the
+        unit is not a short text.
     ArgumentError
-        `missing` is no rule, or names no covariate.
+        `missing` is not a known rule, or names a column that is not a covariate.
 
     Examples
     --------
@@ -130,14 +130,14 @@ class Logs:
     """
 
     trajectories: pd.DataFrame
-    """One row a trajectory, sorted by trajectory: trajectory, end_s [s], ending, cause, and what else was given."""
+    """One row per trajectory, sorted by trajectory: trajectory, end_s [s], ending, cause, and any further columns."""
     stages: pd.DataFrame
-    """One row a stage, sorted by trajectory and stage."""
+    """One row per stage, sorted by trajectory and stage."""
     objects: pd.DataFrame | None
-    """One row an object of a stage, sorted by trajectory, stage and object; None where there are none."""
+    """One row per object of a stage, sorted by trajectory, stage and object; None if there are none."""
     reward_unit: str | None
     missing: Filling | str | None
-    """What was said of null, and learned: what a part of this log, or the like of it, is made with."""
+    """The rule for null, or the filling learned by it. Pass it on to build a part of this log or a similar log."""
 
     def __init__(
         self,
@@ -162,18 +162,18 @@ class Logs:
 
     @property
     def filling(self) -> Filling | None:
-        """What stands for covariates that were null; None where null is refused, or stands."""
+        """Values that replace null in covariates; None if null is refused or kept."""
         return self.missing if isinstance(self.missing, Filling) else None
 
     def in_unit(self, reward_unit: str | None) -> "Logs":
-        """The same log with rewards that are said to be counted in this unit, a short text; no number changes."""
+        """The same log with its rewards labelled with this unit, a short text; no number changes."""
         same = copy(self)
         same.reward_unit = checked_unit(reward_unit)
         return same
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
-        """The tables that there are, by name: stages, trajectories and, where there are any, objects."""
+        """The tables by name: stages, trajectories and, if there are any, objects."""
         return {name: table for name in TABLES if (table := vars(self)[name]) is not None}
 
     @property
@@ -183,17 +183,17 @@ class Logs:
 
     @property
     def num_stages(self) -> int:
-        """Number of stages of all trajectories together, those in which a cut fell included."""
+        """Number of stages in all trajectories, including those in which a cut fell."""
         return len(self.stages)
 
     @property
     def horizon(self) -> int:
-        """Number of stages T of the longest trajectory."""
+        """Number of stages T in the longest trajectory."""
         return int(self.stages["stage"].max())
 
     @property
     def trajectory_ids(self) -> np.ndarray:
-        """Names of the trajectories, shape (n,): the order of every array below."""
+        """Names of the trajectories, shape (n,), in the order of every array below."""
         return self.trajectories["trajectory"].to_numpy()
 
     @property
@@ -218,11 +218,11 @@ class Logs:
 
     @property
     def trajectory_columns(self) -> list[str]:
-        """Names of what else is known of the trajectories, such as the scene."""
+        """Names of the further columns of the trajectories, such as the scene."""
         return [column for column in self.trajectories.columns if column not in TRAJECTORY_COLUMNS]
 
     def elapsed_s(self) -> Float[np.ndarray, "n T"]:
-        """Clock at the end of each stage [s], NaN where it was not completed or there is none."""
+        """Clock at the end of each stage [s]; NaN where a stage was not completed or does not exist."""
         return self.stage_values("elapsed_s")
 
     def stage_values(self, column: str) -> Float[np.ndarray, "n T"]:
@@ -231,7 +231,7 @@ class Logs:
         Raises
         ------
         LogError
-            There is no such column, or it holds no numbers.
+            There is no such column, or it is not numeric.
         """
         require_columns("stages", self.stages, (column,))
         if not pd.api.types.is_numeric_dtype(self.stages[column].dtype):
@@ -257,11 +257,11 @@ class Logs:
 
     @property
     def has_all_actions(self) -> bool:
-        """Whether the action of every stage is known, also where a trajectory was cut."""
+        """Whether the action of every stage is known, including stages in which a trajectory was cut."""
         return bool(self.stages["action"].notna().to_numpy().all())
 
     def select(self, trajectories: Any) -> "Logs":
-        """Keep some of the trajectories, for folds and bootstraps without repetition.
+        """Keep some of the trajectories, for cross-validation folds and subsampling without replacement.
 
         Parameters
         ----------
@@ -271,7 +271,7 @@ class Logs:
         Raises
         ------
         LogError
-            A name is unknown, or none is given.
+            A name is unknown, or no name is given.
         """
         wanted = pd.Index(trajectories)
         unknown = wanted[~wanted.isin(self.trajectory_ids)]
@@ -281,18 +281,18 @@ class Logs:
         return Logs(**kept, reward_unit=self.reward_unit, missing=self.missing)
 
     def summary(self) -> LogsSummary:
-        """Count what is there: trajectories, endings and causes, stages, clock, actions."""
+        """Count trajectories, endings, causes, stages and actions, and give the range of the clock."""
         tally = SummaryTally()
         tally.add(self)
         return tally.summary()
 
     def write(self, folder: str | Path, *, overwrite: bool = False) -> None:
-        """Write the tables as Parquet into a folder of their own, all or nothing.
+        """Write the tables as Parquet into their own folder, all or nothing.
 
         Parameters
         ----------
         folder
-            Where to; missing parents are made.
+            Target folder; missing parents are created.
         overwrite
             Replace logs that are already there.
 
@@ -305,7 +305,7 @@ class Logs:
 
 
 class SummaryTally:
-    """Counts a log that comes in parts."""
+    """Accumulates the summary of a log that arrives in parts."""
 
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()
@@ -315,7 +315,7 @@ class SummaryTally:
         self._extents: list[tuple[int, float, float]] = []
 
     def add(self, part: Logs) -> None:
-        """Count a part."""
+        """Add the counts of a part."""
         actions, num_cut = part.stages["action"][part.stages["elapsed_s"].notna()], int((~part.is_finished).sum())
         self._counts.update(num_trajectories=part.num_trajectories, num_finished=part.num_trajectories - num_cut)
         self._counts.update(num_cut=num_cut, num_stages=part.num_stages, num_completed=len(actions))
@@ -325,7 +325,7 @@ class SummaryTally:
         self._extents.append((part.horizon, float(part.end_s.min()), float(part.end_s.max())))
 
     def summary(self) -> LogsSummary:
-        """What was counted; equal counts stand in the order of the names, so the same log reads the same."""
+        """The summary of all parts. Ties are ordered by name, so equal logs have equal summaries."""
         horizons, shortest_s, longest_s = zip(*self._extents, strict=True)
         return LogsSummary(
             **self._counts,

@@ -1,6 +1,6 @@
-"""Units that look mixed within a log: milliseconds among seconds, or a covariate in another unit.
+"""Checks for mixed units within a log: milliseconds among seconds, or a covariate in two units.
 
-They show by a gap: two groups of trajectories, far apart, with nothing in between; or one trajectory a thousand times
+The sign is a gap: two groups of trajectories, far apart, with nothing in between; or one trajectory a thousand times
 as large as all others.
 """
 
@@ -15,16 +15,16 @@ from halfseen.logs.grouping import covariate_columns, is_number
 from halfseen.logs.logs import Logs
 
 FEWEST_APART, FEWEST_SHARE, GAP, RATIO = 3, 0.01, 30.0, 300.0
-"""Of a group whose units may differ: how many at least, what share, and how far apart."""
+"""For a group with suspect units: its least number and share, its least gap, and its least ratio of medians."""
 FEWEST_OTHERS, MOST_RATIO = 20, 3000.0
-"""Of a few alone: beside how many, and how far apart at most."""
+"""For single trajectories with suspect units: the least number in all, and the largest ratio to the others."""
 LONG_S = (900.0, 1e6)
-"""Beyond a quarter of an hour, below what takes days [s]."""
+"""Suspiciously long stages: from a quarter of an hour to below 12 days [s]."""
 
 
 def mixed_clocks(logs: Logs) -> Iterator[str]:
-    """Stages of some trajectories last some thousand times as long as those of others."""
-    # The mean of a trajectory, not its shortest stages: some actions take hardly any time.
+    """Find trajectories whose stages last about a thousand times as long as those of others."""
+    # Use a trajectory's mean, not its shortest stages: some actions take hardly any time.
     clocks = logs.stages.groupby("trajectory")["elapsed_s"]
     mean_s = clocks.max() / clocks.count()
     for words in _apart(logs, "stages last", mean_s, " s"):
@@ -37,7 +37,7 @@ def mixed_clocks(logs: Logs) -> Iterator[str]:
 
 
 def long_clocks(logs: Logs) -> Iterator[str]:
-    """Half of the stages last a quarter of an hour or more."""
+    """Find logs in which half of the stages last a quarter of an hour or more."""
     lasted_s = logs.durations_s()
     middle_s = 0.0 if np.isnan(lasted_s).all() else float(np.nanmedian(lasted_s))
     if LONG_S[0] < middle_s < LONG_S[1]:
@@ -46,7 +46,7 @@ def long_clocks(logs: Logs) -> Iterator[str]:
 
 
 def mixed_covariates(logs: Logs) -> Iterator[str]:
-    """Covariates are some thousand times as large in some trajectories as in others."""
+    """Find covariates that are about a thousand times as large in some trajectories as in others."""
     for name, values, trajectory in covariate_columns(logs):
         if is_number(values):
             for words in _apart(logs, f"{name} is around", values.astype(float).abs().groupby(trajectory).median()):
@@ -54,7 +54,7 @@ def mixed_covariates(logs: Logs) -> Iterator[str]:
 
 
 def _apart(logs: Logs, what: str, values: Any, unit: str = "") -> Iterator[str]:
-    """Describe the two groups of trajectories that a gap parts; no word where there is no such gap."""
+    """Describe the two groups of trajectories separated by a gap, if there is such a gap."""
     sizes = values.reindex(logs.trajectory_ids).to_numpy(dtype=np.float64)
     is_large = far_apart(sizes)
     if is_large is None:
@@ -84,12 +84,12 @@ def far_apart(sizes: Rows) -> RowMask | None:
 
 
 def thousandfold_of_others(sizes: Any) -> Iterator[tuple[Any, float, float]]:
-    """Positive sizes some thousand times as large as all others, where these are too few to be a group.
+    """Positive sizes about a thousand times as large as all others, if too few to form a group.
 
     Parameters
     ----------
     sizes : Series
-        Of each trajectory.
+        Size of each trajectory.
 
     Yields
     ------

@@ -1,7 +1,7 @@
-"""Parquet files of logs: a folder of them is written whole, and what one takes once it is read is asked before.
+"""Parquet files of logs: writing a folder of them all or nothing, and bounding a file's memory before reading it.
 
-The library that reads ends the process where some of what a file says of a column is broken. So the footer is read
-here: a struct of Thrift's compact protocol, a number for each field, and a value for it.
+Some broken column metadata make the Parquet library abort the process. So the footer is parsed here first: a struct of
+Thrift's compact protocol, with a number and a value for each field.
 """
 
 import json
@@ -24,13 +24,13 @@ MANIFEST = "logs.json"
 FORMAT, VERSION = "halfseen-logs", 2
 TABLES = ("stages", "trajectories", "objects")
 ROWS_IN_GROUP = 65_536
-"""Rows that are read at once by anyone who wants one of them."""
+"""Rows of a row group, which is read as a whole."""
 
 
 def write_tables(
     folder: Path, tables: Mapping[str, pd.DataFrame], *, overwrite: bool, reward_unit: str | None = None
 ) -> None:
-    """Write tables beside `folder`, then put them in its place by renaming.
+    """Write tables beside `folder`, then rename them into place.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def write_tables(
 
 
 def write_manifest(folder: Path, num_rows: Mapping[str, int], reward_unit: str | None) -> None:
-    """Write down how many rows each table of a folder has, and the unit of rewards if there is one."""
+    """Write the number of rows of each table of a folder, and the unit of rewards if there is one."""
     manifest: dict[str, Any] = {"format": FORMAT, "version": VERSION, "rows": num_rows}
     manifest |= {} if reward_unit is None else {"reward_unit": reward_unit}
     (folder / MANIFEST).write_text(json.dumps(manifest, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
@@ -53,27 +53,27 @@ def write_manifest(folder: Path, num_rows: Mapping[str, int], reward_unit: str |
 
 MAGIC = b"PAR1"
 _ROW_GROUPS, _COLUMNS, _META_DATA, _NUM_VALUES, _UNCOMPRESSED = 4, 1, 3, 5, 6
-"""Numbers of fields: in the file, a row group, a chunk of a column, and what is told of it."""
+"""Field numbers: in the file, in a row group, in a column chunk, and two in its metadata."""
 
 
 class Chunk(NamedTuple):
-    """What a row group holds of a column."""
+    """Values of a column in a row group."""
 
     num_values: int
-    """Nulls, and those of lists, included."""
+    """Number of values, including nulls and items of lists."""
     num_bytes: int
-    """Once it is unpacked [B]."""
+    """Uncompressed size [B]."""
 
 
 def chunks_of(file: Path) -> list[list[Chunk]]:
-    """Give the chunks of each row group, in the order of the columns.
+    """Column chunks of each row group, in the order of the columns.
 
     Raises
     ------
     OSError
         The file cannot be read.
     ValueError
-        It has no footer, or one that is broken or encrypted.
+        The footer is missing, broken or encrypted.
     """
     footer = _Footer(_footer_bytes(file))
     try:
@@ -100,7 +100,7 @@ def _footer_bytes(file: Path) -> bytes:
 
 
 class _Footer:
-    """Values of the compact protocol, one after the other."""
+    """Sequential reader of values in the compact protocol."""
 
     def __init__(self, content: bytes) -> None:
         self._content = content
@@ -108,7 +108,7 @@ class _Footer:
         self._level = 0
 
     def struct(self) -> dict[int, Any]:
-        """Fields by their numbers."""
+        """Read a struct: its fields by number."""
         self._level += 1
         if self._level > MOST_LEVELS:
             raise ValueError("its footer is nested too deep")
@@ -171,7 +171,7 @@ compute: Any = pyarrow.compute
 
 
 def parquet_file(file: Path) -> pq.ParquetFile:
-    """Open a Parquet file, unless it is too large or would take far more memory than its size tells.
+    """Open a Parquet file, unless it is too large or would take far more memory than its size suggests.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def parquet_file(file: Path) -> pq.ParquetFile:
 
 
 def _bytes_of_values(groups: list[list[Chunk]], schema: pq.ParquetSchema) -> int:
-    """At least what it takes [B]: by its values, as repeated ones take next to nothing."""
+    """Lower bound of a file's memory [B] from its number of values: repeated values compress to almost nothing."""
     sizes = [max(BYTES_OF_VALUE, schema.column(k).length) for k in range(len(schema))]
     return sum(
         max(chunk.num_bytes, size * chunk.num_values)
@@ -200,10 +200,10 @@ def _bytes_of_values(groups: list[list[Chunk]], schema: pq.ParquetSchema) -> int
 
 
 def bytes_of_texts(groups: list[list[Chunk]], file: Path, opened: pq.ParquetFile) -> int:
-    """What its texts take [B], where that could be much.
+    """Memory of the texts of a file [B], counted only for columns where it could be large.
 
-    A text that is stored once may stand in every row, so it is counted as often. Of a text no more is held meanwhile
-    than is stored.
+    A text that is stored once may occur in every row, so it is counted once per row. Counting holds each text only as
+    often as it is stored.
     """
     schema = opened.schema
     texts = [k for k in range(len(schema)) if schema.column(k).physical_type == "BYTE_ARRAY"]
@@ -218,7 +218,7 @@ def bytes_of_texts(groups: list[list[Chunk]], file: Path, opened: pq.ParquetFile
 
 
 def _bytes_as_often(values: pa.Array) -> int:
-    """What texts take that are stored once each, at the bottom of lists and structs [B]."""
+    """Memory of dictionary-encoded texts, inside lists and structs, too [B]."""
     kind = values.type
     if pa.types.is_dictionary(kind):
         lengths = compute.binary_length(values.dictionary).fill_null(0).to_numpy(zero_copy_only=False)

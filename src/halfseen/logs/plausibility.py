@@ -1,24 +1,23 @@
-"""Whether a log can be true: logged probabilities, covariates from before the action, endings that are ends.
+"""Plausibility checks of logs: logged probabilities, covariates known before the action, true endings.
 
-Whatever the policy, given all that was known before a stage
+For any policy, given everything known before a stage
 
     E[1{A = a} / p]  =  P(a has a chance there)  ≤  1,
 
-so in no group of stages that was formed before the action may 1/p of those that took a add up to clearly more than
-their number. And where the likeliest action has probability p > ½, another one is taken 1 − p of the time: beside the
-stages that took it, some Σ (1 − p)/p more must have taken another one, with a probability below ½ of its own.
+so in any group of stages that is defined before the action, the sum of 1/p over the stages that took a cannot clearly
+exceed the size of the group. And where the likeliest action has probability p > ½, another one is taken 1 − p of the
+time: for the stages that took the likeliest, about Σ (1 − p)/p others must have an action of probability below ½.
 
-Of what the other covariates, the action, and the covariate itself in the stage before leave unexplained of a reward, a
-covariate that was written down after the stage explains most: it repeats the outcome. What was known before may do so,
-too, where rewards have little noise. But the outcome depends on the action, and what was known before does not: the
-mean of 1{A = a} / p is the same whatever its value. Both must speak against a covariate; where a log has no
-probabilities, it must explain most.
+Regress the reward on the other covariates, the action, and the covariate's own value in the stage before. A covariate
+recorded after the stage explains most of the remaining variance: it repeats the outcome. A covariate known before may
+do so, too, if rewards have little noise. But the outcome depends on the action, and covariates known before do not:
+the mean of 1{A = a} / p is the same whatever their value. A covariate is reported only if both tests fail; in a log
+without probabilities, it must explain more.
 
-Where a task ends,
-something tells: the action that ends it, what it paid, or the number of stages. Stages of one action that paid the
-same, with trajectories going on after them and trajectories ending, differ in nothing that is known; and where no stage
-pays 0 but some that end trajectories do, that 0 may stand for what nobody saw. If those that end are clearly shorter,
-too, somebody or something stopped them.
+The end of a task has a visible cause: the action that ends it, its reward, or the number of stages. If stages of one
+action with the same reward are sometimes last and sometimes not, nothing recorded distinguishes them; and if only last
+stages have reward 0, that 0 may represent an unobserved reward. If such last stages are also clearly shorter,
+something stopped them.
 """
 
 from collections.abc import Collection, Iterator
@@ -34,36 +33,36 @@ from halfseen.logs.logs import Logs
 from halfseen.shapes import Float
 
 LEVEL = 1e-3
-"""Chance with which what is true is called impossible, at most, over all that is looked at in one check."""
+"""Largest probability of a false alarm, over all tests of one check."""
 FEWEST = 30
 TINY = 1e-100
 FEWEST_REWARDS, MOST_REWARDS = 100, 2000
 MOST_EXPLAINED, UNTESTED = 0.5, 0.8
-"""Share of what is left that a covariate may explain if it depends on the action, too; and where nobody can tell, for
-no verdict to rest on it. Logs of our worlds stay below .3."""
+"""Share of the remaining variance that a covariate may explain: if it also depends on the action, and if that cannot
+be tested. Logs of our worlds stay below .3."""
 IMBALANCE_LEVEL = 0.01
 FEWEST_ENDS, ENDS_LEVEL = 10, 1e-4
 COMMON = 0.2
-"""Mean of p from which on an action tells whether a covariate depends on it: 1/p of rare ones is too heavy-tailed."""
+"""Actions with a smaller mean of p do not test covariates for dependence on them: their 1/p is too heavy-tailed."""
 
 
 def excess_p(inverse: Rows, group: RowIds, num_groups: int, sizes: Float[np.ndarray, " G"]) -> Float[np.ndarray, " G"]:
-    """Bound the chance that 1/p of those who took an action add up to so much in groups of given sizes, by Bernstein.
+    """Bernstein bound on the p-value of the sum of 1/p over stages that took an action, in groups of given sizes.
 
     Parameters
     ----------
     inverse
         1/p of each stage that took the action.
     group
-        Of each of these.
+        Group of each of these stages.
     num_groups
-        G.
+        Number of groups G.
     sizes
-        Stages of each group, whatever they took.
+        Number of stages in each group, whatever their action.
     """
     total = np.bincount(group, inverse, num_groups)
     spread = np.bincount(group, inverse * (inverse - 1.0), num_groups)
-    # Where none happened to be rare, the spread is that of as many as were to be expected.
+    # If no rare action happened to be taken, use the variance of the expected number.
     largest = inverse.max(initial=1.0)
     beyond = np.maximum(total - sizes, 0.0)
     bound = np.exp(-0.5 * beyond**2 / np.maximum(spread + largest * beyond / 3.0, 1e-12))
@@ -71,7 +70,7 @@ def excess_p(inverse: Rows, group: RowIds, num_groups: int, sizes: Float[np.ndar
 
 
 def imbalance_p(took: RowMask, probability: Rows, group: RowIds, num_groups: int) -> float:
-    """Chance that 1{A = a} / p differs so much between groups, two-sided, of all groups together.
+    """P-value for equal means of 1{A = a} / p in all groups, two-sided, with Bonferroni correction.
 
     Parameters
     ----------
@@ -80,9 +79,9 @@ def imbalance_p(took: RowMask, probability: Rows, group: RowIds, num_groups: int
     probability
         p of each stage.
     group
-        Of each.
+        Group of each stage.
     num_groups
-        G.
+        Number of groups G.
     """
     from scipy.special import ndtr
 
@@ -94,7 +93,7 @@ def imbalance_p(took: RowMask, probability: Rows, group: RowIds, num_groups: int
 
 
 def untrue_probabilities(logs: Logs) -> Iterator[str]:
-    """Find probabilities that no policy can have had."""
+    """Find logged probabilities that no policy can have."""
     stages, probability = _with_probability(logs)
     if not len(stages):
         return
@@ -102,7 +101,7 @@ def untrue_probabilities(logs: Logs) -> Iterator[str]:
     if logs.has_objects or len(stages) < FEWEST:
         return
     (action, names), stage = coded(stages["action"]), stages["stage"].to_numpy(dtype=np.int64)
-    # The stages with one number are a group, and so are all together.
+    # Groups: the stages of each number, and all stages.
     sizes = np.append(np.bincount(stage)[1:], len(stages)).astype(float)
     for k, name in enumerate(names):
         took = action == k
@@ -133,7 +132,7 @@ def _too_few_others(probability: Rows) -> Iterator[str]:
 
 
 def leaks(logs: Logs, of: Collection[str] | None = None) -> Iterator[str]:
-    """Find covariates, of all or those named, that depend on their own stage's action: written down after it."""
+    """Find covariates, among all or those named, that depend on their own stage's action: recorded after it."""
     stages, probability = _with_probability(logs)
     if len(stages) < FEWEST or logs.has_objects or any(untrue_probabilities(logs)):
         return
@@ -161,12 +160,12 @@ def leaks(logs: Logs, of: Collection[str] | None = None) -> Iterator[str]:
 
 
 def _with_probability(logs: Logs) -> tuple[Any, Rows]:
-    """Stages whose action and its probability are known, and these."""
+    """Stages with known action and probability, and these probabilities."""
     stages: Any = logs.stages
     if "probability" not in stages.columns:
         return stages[:0], np.zeros(0)
     stages = rows_with(stages, "probability", "action")
-    # So that no square of 1/p overflows.
+    # Avoid overflow of (1/p)².
     return stages, np.maximum(stages["probability"].to_numpy(dtype=np.float64), TINY)
 
 
@@ -182,7 +181,7 @@ def outcomes_among_covariates(
     of
         Names of the covariates to test; None for all.
     untested
-        Share of what is left that a covariate must explain where the log has no probabilities to test it by.
+        Share of the remaining variance that a covariate must explain if the log has no probabilities to test it.
     """
     stages = rows_with(logs.stages, "reward", "action", most=MOST_REWARDS)
     if len(stages) < FEWEST_REWARDS or not logs.stage_covariates or logs.has_objects:
@@ -201,7 +200,7 @@ def outcomes_among_covariates(
     gram, pull, total = columns.T @ columns, columns.T @ reward, float(reward @ reward)
 
     def left(used: RowMask) -> float:
-        """Variance of the reward about its regression on some columns, by the degrees of freedom that are left."""
+        """Residual variance of the reward after regression on some columns, per remaining degree of freedom."""
         values, axes = np.linalg.eigh(gram[np.ix_(used, used)])
         kept = values > 1e-9 * values[-1]
         explained = ((axes[:, kept].T @ pull[used]) ** 2 / values[kept]).sum()
@@ -223,7 +222,7 @@ def outcomes_among_covariates(
 
 
 def _is_after(stages: Any, each: Grouped, untested: bool) -> bool:
-    """Whether a covariate that predicts the reward depends on its action; `untested` if nobody can tell."""
+    """Whether a covariate that predicts the reward depends on the action; `untested` if there are no probabilities."""
     if "probability" not in stages.columns or stages["probability"].isna().any():
         return untested
     probability, (action, names) = stages["probability"].to_numpy(dtype=np.float64), coded(stages["action"])
@@ -238,7 +237,7 @@ def _indicators(code: Any) -> Float[np.ndarray, "m k"]:
 
 
 def _before(stages: Any, each: Grouped) -> Float[np.ndarray, "m k"]:
-    """The covariate's group in the stage before; none of them in the first."""
+    """Indicators of the covariate's group in the stage before; all zero in the first stage."""
     trajectory, group = stages["trajectory"].to_numpy(), each.group
     was = np.where(np.append(False, trajectory[1:] == trajectory[:-1]), np.append(0, group[:-1]), -1)
     return (was[:, None] == np.arange(each.num_groups)).astype(np.float64)
@@ -273,9 +272,9 @@ def cuts_called_finished(logs: Logs) -> Iterator[str]:
 
 
 def chance_of_shorter(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " m"]) -> float:
-    """Chance that one sample is as much smaller than another if both are alike, by ranks [MannWhitney1947]_.
+    """One-sided p-value of the rank test that one sample is smaller than another [MannWhitney1947]_.
 
-    By the normal approximation with ties and a correction for continuity, for ten of each or more.
+    Uses the normal approximation with ties and continuity correction, for ten or more values in each sample.
     """
     _, place, ties = np.unique(np.concatenate([one, other]), return_inverse=True, return_counts=True)
     ranks = (ties.cumsum() - (ties - 1) / 2.0)[place]

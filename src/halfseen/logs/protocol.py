@@ -1,4 +1,4 @@
-r"""Recording without Python: one JSON object a line is a call of the recorder, and one JSON object a line answers it.
+r"""Recording without Python: each line in is one call of the recorder as a JSON object, each line out its answer.
 
 ::
 
@@ -7,12 +7,12 @@ r"""Recording without Python: one JSON object a line is a call of the recorder, 
     {"call": "complete_stage", "reward": 1.0, "elapsed_s": 2.5}
     {"call": "finish"}
 
-The calls are those of `LogRecorder` and `TrajectoryRecorder`, and so are the names of what they take; what is left out
-or null is not given. The answer is ``{"ok": true, "trajectory": …}``, or ``{"ok": false, "error": "…"}`` with the line
-that says what was wrong and what to do: nothing of it is then recorded, and the next call is taken as if it had not
-been made. Lines are UTF-8 and end with ``\n``. Where lines end, a trajectory in progress is cut.
+Calls and argument names are those of `LogRecorder` and `TrajectoryRecorder`; null counts as left out. The answer is
+``{"ok": true, "trajectory": …}``, or ``{"ok": false, "error": "…"}`` with one line that names the fault and the remedy.
+A refused call records nothing, and the next call is handled as if it had not been made. Lines are UTF-8 and end with
+``\n``. At the end of the input, a trajectory in progress is cut.
 
-Over a socket of this machine one client is heard at a time, and the next when it has gone.
+A local socket serves one client at a time; the next is served once the first has disconnected.
 """
 
 import io
@@ -31,10 +31,10 @@ from halfseen.logs.recorder import LogRecorder
 from halfseen.logs.trajectory_recorder import TrajectoryRecorder
 
 MOST_BYTES = 1_000_000
-"""A longer line is refused, and none of it kept."""
+"""A longer line is refused and discarded."""
 
 INPUT_ENDED = "input-ended"
-"""Cause of the cut of a trajectory that was in progress where lines ended."""
+"""Cause of the cut of a trajectory that was in progress when the input ended."""
 
 
 @runtime_checkable
@@ -42,23 +42,23 @@ class Lines(Protocol):
     """A file, pipe or socket that is read line by line."""
 
     def readline(self, size: int, /) -> bytes:
-        """Give the next line, at most so many bytes of it; nothing where lines end."""
+        """Read the next line, at most `size` bytes of it; empty at the end of the input."""
         ...
 
 
 def _takes(name: str) -> dict[str, bool]:
-    """What a call takes, and whether it cannot be left out."""
+    """Arguments of a call, and whether each is required."""
     _, *takes = signature(getattr(TrajectoryRecorder, name)).parameters.values()
     return {each.name: each.default is each.empty for each in takes}
 
 
 _NAMES = ("begin_stage", "complete_stage", "drop_out", "still_running", "finish", "cut")
 CALLS = {"begin_trajectory": {"name": False, "columns": False}} | {name: _takes(name) for name in _NAMES}
-"""What each call takes, and whether it cannot be left out."""
+"""Arguments of each call, and whether each is required."""
 
 
 def record_lines(recorder: LogRecorder, lines: Lines, answer: Callable[[str], object]) -> None:
-    """Record what lines say until they end, and then cut the trajectory in progress.
+    """Make the calls of all lines, then cut the trajectory in progress.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def record_lines(recorder: LogRecorder, lines: Lines, answer: Callable[[str], ob
 
 
 def answered(recorder: LogRecorder, line: bytes) -> str:
-    """Make the call of one line, and give the answer to it."""
+    """Make the call of one line and return the answer."""
     try:
         name, given = call_of(line)
         _make(recorder, name, given)
@@ -83,12 +83,12 @@ def answered(recorder: LogRecorder, line: bytes) -> str:
 
 
 def call_of(line: bytes) -> tuple[str, dict[str, Any]]:
-    """Take a line apart into the name of a call and what is given.
+    """Parse a line into the name of a call and its arguments.
 
     Raises
     ------
     LogError
-        It is too long, no JSON object, or no such call.
+        The line is too long or not a JSON object, or there is no such call.
     """
     if len(line) > MOST_BYTES:
         raise LogError(f"the line is longer than {MOST_BYTES} bytes; record less in a stage, such as a file's name")
@@ -128,7 +128,7 @@ def _make(recorder: LogRecorder, name: str, given: dict[str, Any]) -> None:
 
 
 def _bounded(lines: Lines) -> Iterator[bytes]:
-    """Lines, of those that are too long only the beginning; a connection that breaks ends them."""
+    """Lines, truncated if too long; a broken connection ends them."""
     with suppress(ConnectionError):
         while line := lines.readline(MOST_BYTES + 1):
             yield line
@@ -148,17 +148,17 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 HOST = "127.0.0.1"
-"""No other machine reaches it."""
+"""Loopback address: other machines cannot reach it."""
 
 
 @contextmanager
 def listening(address: int | Path) -> Iterator[socket.socket]:
-    """Listen at a port of this machine, 0 for any, or at a Unix socket that only this user may open.
+    """Listen on a local port, 0 for any, or on a Unix socket that only this user may open.
 
     Raises
     ------
     ArgumentError
-        Somebody else listens there, or something else is there.
+        The address is in use, or the file exists and is not a stale socket.
     """
     is_port = isinstance(address, int)
     if not is_port and not hasattr(socket, "AF_UNIX"):
@@ -202,7 +202,7 @@ def _remove_left(file: Path) -> None:
 def record_clients(
     recorder: LogRecorder, listener: socket.socket, on_gone: Callable[[], object] = lambda: None
 ) -> None:
-    """Record what clients say, one after the other, for ever; a trajectory that one leaves in progress is cut."""
+    """Serve clients one after the other, forever; a trajectory that a client leaves in progress is cut."""
     while True:
         connection, _ = listener.accept()
         with connection, connection.makefile("rb") as lines:
@@ -212,13 +212,13 @@ def record_clients(
 
 def _record_client(recorder: LogRecorder, connection: socket.socket, lines: io.BufferedReader) -> None:
     def answer(text: str) -> None:
-        # Who has gone without waiting for answers has said all the same what is to be recorded.
+        # A client may disconnect without waiting for answers; its calls are recorded all the same.
         with suppress(OSError):
             connection.sendall(text.encode() + b"\n")
 
     with suppress(ConnectionError):
         if lines.peek(1)[:1] not in (b"{", b""):
-            # Such as a page in a browser, which speaks HTTP to any port: what else it says is not for us.
+            # Not our protocol, such as HTTP from a web page in a browser: answer once and ignore the rest.
             answer(answered(recorder, lines.readline(MOST_BYTES)))
             return
     record_lines(recorder, lines, answer)

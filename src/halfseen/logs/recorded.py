@@ -1,21 +1,20 @@
-"""From a journal to the tables of `Logs`: where stages end, and where a trajectory that nobody ended was cut.
+"""From a journal to the tables of `Logs`: when stages end, and when an interrupted trajectory was cut.
 
-A stage of a trajectory on the recorder's own clock lasts until the next one begins, or the trajectory finishes: only
-then is it known what the stage led to, and only then can anything be learned from it. So a trajectory that ends between
-two stages is cut in the stage before, which it was seen to complete without being seen to reach the next. Nothing is
-biased by that: all stages of all trajectories are completed by the same rule, at a time until which the trajectory was
-watched, and the weights count the trajectory as at risk until its cut. Were the stage kept as completed, what follows
-it would have to be made up.
+On the recorder's own clock, a stage lasts until the next one begins or the trajectory finishes. Only then is its
+outcome observed, and only then can a policy learn from it. So a trajectory that ends between two stages is cut in the
+earlier one, which was observed to complete but not to reach the next. This introduces no bias: the same rule completes
+all stages of all trajectories, at a time up to which the trajectory was observed, and the importance weights count the
+trajectory as at risk until its cut. If the stage were kept as completed, its successor would have to be invented.
 
-Where clocks are given, no time passes between two stages. Such a cut then stands just before the completion that it
-takes back: at equal times completions come before cuts, and a cut that stood at that time would leave the completion
-of this trajectory unseen and unaccounted for. Of several robots, it takes back all stages that were completed at that
-time, and whatever dropped out then.
+With given clocks, no time passes between two stages. Such a cut is then placed just before the completion that it
+undoes: at equal times completions precede cuts, so a cut at that very time would leave the completion of this
+trajectory unobserved and unaccounted for. With several robots, it undoes all stages that were completed at that
+time, and all drop-outs at that time.
 
-A torn trajectory is cut at the last time at which it was known to run. That is up to a stage earlier than the crash, so
-that Ĝ falls a little early and weights come out too large: where stages of 5 s are torn so often that two trajectories
-in five crash, by up to 7 %. Call `TrajectoryRecorder.still_running` from the control loop and the time is known to half
-a second; the same weights are then within 1 %. Where crashes are few, neither matters.
+An interrupted trajectory is cut at the last time at which it was known to run. That is up to one stage before the
+crash, so Ĝ falls slightly early and weights are too large: by up to 7 % with stages of 5 s, if two trajectories in five
+crash. With `TrajectoryRecorder.still_running` called from the control loop, the time is known to half a second, and the
+same weights are within 1 %. If crashes are rare, neither matters.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -32,10 +31,10 @@ from halfseen.logs.missing import is_flag
 from halfseen.reading import reason_of
 
 JUST_BEFORE = 0.01
-"""Of the time since the clock before it: how long before the end of a stage a trajectory ends that was cut after it. It
-is less than others take to their next clock, and more than rounding (`halfseen.censoring.clocks`)."""
+"""How long before the end of a stage a cut after it is placed, as a fraction of the time since the previous clock. It
+is less than the time to the next clock of other trajectories, and more than rounding (`halfseen.censoring.clocks`)."""
 RESOLUTION_S = 1e-9
-"""What a clock can tell apart [s]; a trajectory that was torn before its clock moved ends there."""
+"""Resolution of a clock [s]; also the end of a trajectory that was interrupted before its clock moved."""
 CRASH, STILL_RUNNING, RESUMED = "crash", "still-running", "resumed"
 ROWS_A_CHUNK = 20_000
 _TYPES = {
@@ -49,14 +48,14 @@ _TYPES = {
 
 
 def journal_log(folder: Path) -> dict[str, Any]:
-    """Read the journal of a recorder, finished, torn or at work, as what `Logs` is made of.
+    """Read the journal of a recorder, whether finished, interrupted or running, as the arguments of `Logs`.
 
     Rows go to Arrow in chunks, so that no more than a few thousand of them are Python objects at a time.
 
     Raises
     ------
     LogError
-        The journal cannot be read, is corrupted, or holds no stage; or its parts count rewards in different units.
+        The journal cannot be read, is corrupted, or has no stage; or the reward units of its parts differ.
     """
     was_recorded, parts = is_being_recorded(folder), journal_parts(folder)
     tell_missing(parts)
@@ -82,7 +81,7 @@ def journal_log(folder: Path) -> dict[str, Any]:
 
 
 def tables_of(trajectories: Iterable["RecordedTrajectory"]) -> dict[str, Any]:
-    """Put the rows of trajectories that have ended together, as what `Logs` is made of; nothing where there is none."""
+    """Collect the rows of ended trajectories as the arguments of `Logs`; empty if there are none."""
     tables = {"stages": _Table(), "trajectories": _Table(), "objects": _Table()}
     for trajectory in trajectories:
         for name, table in tables.items():
@@ -96,7 +95,7 @@ def tables_of(trajectories: Iterable["RecordedTrajectory"]) -> dict[str, Any]:
 
 
 def _with_whole_flags(stages: pa.Table) -> pa.Table:
-    """Where the policy of the time had no flag, nothing was said to be missing."""
+    """Set null flags of missing covariates to 0: the policy at that time had no such flag."""
     for k, name in enumerate(stages.column_names):
         if is_flag(name, stages.column_names) and stages[name].null_count:
             stages = stages.set_column(k, name, stages[name].fill_null(0))
@@ -104,7 +103,7 @@ def _with_whole_flags(stages: pa.Table) -> pa.Table:
 
 
 def recorded_trajectories(events: JournalEvents) -> Iterator["RecordedTrajectory"]:
-    """Put the events of a journal together into trajectories; one that never ended has no ending, and is last."""
+    """Assemble the events of a journal into trajectories; one that never ended has no ending, and comes last."""
     trajectory = torn = None
     for event in events:
         with following(events):
@@ -119,7 +118,7 @@ def recorded_trajectories(events: JournalEvents) -> Iterator["RecordedTrajectory
             if event["event"] == "hole" and trajectory is not None:
                 trajectory.end(CUT, None, CRASH)
             elif event["event"] == "stage" and event["stage"] == 1:
-                # A first stage is given twice where Ctrl-C came before the recorder knew of the first.
+                # A first stage is written twice if Ctrl-C came before the recorder stored the first.
                 if trajectory is not None and trajectory.name != event["trajectory"]:
                     name = event["trajectory"]
                     raise KeyError(f"trajectory {name!r} begins before trajectory {trajectory.name!r} ended")
@@ -137,7 +136,7 @@ def recorded_trajectories(events: JournalEvents) -> Iterator["RecordedTrajectory
 
 
 class RecordedTrajectory:
-    """A trajectory as its events tell it.
+    """A trajectory built from its events.
 
     Parameters
     ----------
@@ -147,11 +146,11 @@ class RecordedTrajectory:
     Attributes
     ----------
     name
-        What it is called.
+        Name of the trajectory.
     rows
         Its rows of each table.
     ending
-        "finished" or "cut"; None as long as it was not ended.
+        "finished" or "cut"; None until it has ended.
     """
 
     def __init__(self, event: dict[str, Any]) -> None:
@@ -166,7 +165,7 @@ class RecordedTrajectory:
         self._begin(event)
 
     def add(self, event: dict[str, Any]) -> None:
-        """Take the next event."""
+        """Add the next event."""
         match event["event"]:
             case "stage":
                 if event["stage"] == len(self.rows["stages"]):
@@ -186,7 +185,7 @@ class RecordedTrajectory:
                 self.end(ending, event["at_s"], event.get("cause"))
 
     def end(self, ending: str, at_s: float | None, cause: str | None) -> None:
-        """End the trajectory, at the last known clock where there is no other."""
+        """End the trajectory, at the last known clock if `at_s` is None."""
         end_s = self._clock_s if at_s is None else at_s
         if ending == FINISHED:
             self._complete(end_s)
@@ -208,7 +207,7 @@ class RecordedTrajectory:
         self.rows["objects"] += [{**key, **seen} for seen in event.get("objects", ())]
 
     def _forget_stage(self) -> None:
-        """Ctrl-C came before the recorder knew that the stage had begun, and it was given again."""
+        """Drop the last stage, such as one written again because Ctrl-C came before the recorder stored it."""
         number = self.rows["stages"].pop()["stage"]
         self.rows["objects"] = [row for row in self.rows["objects"] if row["stage"] != number]
 
@@ -218,7 +217,7 @@ class RecordedTrajectory:
         return at_s - JUST_BEFORE * (at_s - before_s)
 
     def _take_back(self, end_s: float) -> None:
-        """Of several robots that decided at one time, it is cut in the first stage that had not ended before."""
+        """Undo stages back to the first that had not ended by `end_s`, as several robots may decide at one time."""
         stages = self.rows["stages"]
         while len(stages) > 1 and stages[-2]["elapsed_s"] > end_s:
             self._forget_stage()
@@ -226,7 +225,7 @@ class RecordedTrajectory:
             last |= {name: None for name in last if name in ("elapsed_s", "reward") or is_own_reward(name)}
 
     def _complete(self, next_s: float | None) -> None:
-        """Complete the stage in progress, by its own clock if that was given, else when the next one begins."""
+        """Complete the stage in progress at its own clock if given, else when the next one begins."""
         if self._done is None:
             raise KeyError("the stage before is not completed")
         at_s = self._done["at_s"] if self._done.get("is_given") or next_s is None else next_s
@@ -237,7 +236,7 @@ class RecordedTrajectory:
 
 
 class _Table:
-    """Rows on their way to Arrow."""
+    """Rows collected for Arrow."""
 
     def __init__(self) -> None:
         self._rows: list[dict[str, Any]] = []
@@ -254,7 +253,7 @@ class _Table:
     def build(self) -> pa.Table:
         if self._rows:
             self._pack()
-        # A column may be whole numbers in one chunk and fractions in the next, or lists that are all empty at first.
+        # A column may have whole numbers in one chunk and fractions in the next, or only empty lists at first.
         try:
             return pa.concat_tables(self._chunks, promote_options="permissive")
         except pa.ArrowException as error:
@@ -278,7 +277,7 @@ def _column(name: str, values: list[Any]) -> pa.Array:
 
 
 def followed(events: Sequence[dict[str, Any]]) -> RecordedTrajectory:
-    """Follow the events of one trajectory, the beginning of its first stage first."""
+    """Build a trajectory from its events, which start with the beginning of its first stage."""
     first, *others = events
     trajectory = RecordedTrajectory(first)
     for event in others:

@@ -1,4 +1,4 @@
-"""Recording trajectories as they happen, so that a kill at any moment loses at most the stage in progress.
+"""Recording trajectories as they happen; a kill at any moment loses at most the stage in progress.
 
 ::
 
@@ -10,15 +10,15 @@
             trajectory.complete_stage(reward=1.0)
         trajectory.finish()                                # or trajectory.cut("operator")
 
-`halfseen.logs.read_logs` reads the folder at any time, also while it is being recorded. A trajectory that a crash tore
-is read as cut by ``crash`` at the last time at which it was known to run; `halfseen.logs.recorded` says how, and why
-that is fair.
+`halfseen.logs.read_logs` reads the folder at any time, even during recording. A trajectory that was interrupted by a
+crash is read as cut by ``crash`` at the last time at which it was known to run; `halfseen.logs.recorded` explains how,
+and the effect on estimates.
 
-Where several robots work at once, each stage says which of them decides (``begin_stage(…, robot=1)``), and `drop_out`
-tells that one of them is gone while the others go on.
+With several robots at once, each stage names the one that decides (``begin_stage(…, robot=1)``), and `drop_out`
+notes that one of them is gone while the others go on.
 
-What a recorder knows is a value that is replaced whole. An event and what is known after it are taken over in one
-assignment, which Ctrl-C cannot part: it comes before both, and the event is then taken back, or after both.
+The recorder's state is replaced as a whole, never changed in place. An event and the state after it are stored in one
+assignment, which Ctrl-C cannot split: it comes before both, and the event is then rolled back, or after both.
 """
 
 from collections.abc import Callable, Sequence
@@ -42,40 +42,38 @@ from halfseen.logs.trajectory_recorder import TrajectoryRecorder
 class LogRecorder:
     """Record trajectories into a folder, stage by stage.
 
-    One recorder at a time has a folder; a folder that was recorded before is gone on with. Each call is checked and
-    then handed to the operating system in one write before it returns. What is refused leaves no trace, and the
+    One recorder at a time holds a folder. It appends to a folder that was recorded before. Each call is checked and
+    then handed to the operating system in one write before it returns. A refused call leaves no trace, and the
     trajectory goes on.
 
     Parameters
     ----------
     folder
-        Where to; it is made where it is not there.
+        Target folder; it is created if missing.
     fsync
         When to wait for the disk: "never"; each "trajectory", when it ends; each "stage", when it begins; or each
-        "event". Without it, nothing that was written is lost when the process dies, but a loss of power or a crash of
-        the operating system may take the last half minute. With it they take, as far as the disk keeps its word, no
+        "event". With "never", no written event is lost when the process dies, but a power failure or a crash of
+        the operating system may lose the last half minute. Otherwise they lose, if the disk honours fsync, no
         more than the trajectory, stage or event in progress; a call that waits takes as long as the disk does, commonly
         0.1 to 20 ms (`benchmarks/recorder.py` measures it). True is "event", False is "never".
     reward_unit
-        What rewards are counted in, such as "parts": a short text, for people; None for what was said before, if
-        anything was.
+        Unit of the rewards, such as "parts": a short text, for people; None for the unit recorded before, if any.
     check
-        What a trajectory must hold beyond what every log must, such as `halfseen.world.check_log` for robots at a
-        table: called with the trajectory so far, cut just now, when a stage begins or a robot drops out, and raises
-        `LogError` where that is to be refused. It reads all of the trajectory each time: meant for stages of a second
-        or more.
+        Extra check of a trajectory, such as `halfseen.world.check_log` for robots at a table. It is called with the
+        trajectory so far, cut just now, when a stage begins or a robot drops out, and raises `LogError` to refuse
+        that. It reads the whole trajectory each time: meant for stages of a second or more.
     part_bytes
-        Size of the journal from which on a trajectory begins in another file of the folder [B].
+        Size of a journal file above which the next trajectory begins another file of the folder [B].
     keeps_events
-        Whether `TrajectoryRecorder.events` of the last trajectory can be asked for.
+        Whether to keep the events of the last trajectory for `TrajectoryRecorder.events`.
 
     Raises
     ------
     ArgumentError
-        Another recorder has the folder, it holds finished logs, or it cannot be written; or `part_bytes` is no
-        positive whole number.
+        Another recorder holds the folder, it contains finished logs, or it cannot be written; or `part_bytes` is not
+        a positive whole number.
     LogError
-        What was recorded there before is no journal or in another unit, or the unit is no short text.
+        The existing recording is not a journal or has another unit, or the unit is not a short text.
 
     Examples
     --------
@@ -121,14 +119,14 @@ class LogRecorder:
         self.close(UNKNOWN_CAUSE if kind is None else "operator" if kind is KeyboardInterrupt else CRASH)
 
     def begin_trajectory(self, name: Any = None, /, **columns: Any) -> TrajectoryRecorder:
-        """Begin a trajectory; its clock starts with its first stage, and before that nothing of it is on disk.
+        """Begin a trajectory. Its clock starts with its first stage; before that, nothing of it is on disk.
 
         Parameters
         ----------
         name
-            What it is called, once in the folder: always a whole number or always text; counted on if left out.
+            Its name, unique in the folder: always a whole number or always text; the next number if left out.
         **columns
-            What else is known of it, such as the scene.
+            Further columns of it, such as the scene.
 
         Raises
         ------
@@ -151,10 +149,10 @@ class LogRecorder:
         return self._trajectory
 
     def resume(self) -> TrajectoryRecorder | None:
-        """Go on with the trajectory that was torn when the folder was left; None where none was.
+        """Resume the trajectory that was in progress when the folder was last closed; None if there was none.
 
-        Call it before the first trajectory begins. Its clock must be given: what passed meanwhile no clock of this
-        process has seen.
+        Call it before the first trajectory begins. Its clock must be given: no clock of this process has measured the
+        time in between.
 
         Raises
         ------
@@ -177,7 +175,7 @@ class LogRecorder:
         return self._trajectory
 
     def close(self, cause: str | None = UNKNOWN_CAUSE) -> None:
-        """Cut the trajectory in progress, if there is one, and let the folder go; without a cause it may be resumed.
+        """Cut the trajectory in progress, if any, and release the folder; without a cause it may be resumed.
 
         Leaving a ``with`` block does the same, with the cause "operator" after Ctrl-C and "crash" after an error.
         """
@@ -196,7 +194,7 @@ class LogRecorder:
         return str(number) if is_text else number
 
     def _restore(self, event: dict[str, Any]) -> None:
-        """Learn names and columns from what the folder holds."""
+        """Update names and columns with one event of the existing journal."""
         known = self._restored
         self._torn = torn_by(self._torn, event)
         if event["event"] == "done":
@@ -212,7 +210,7 @@ class LogRecorder:
 
 
 def torn_by(events: list[dict[str, Any]], event: dict[str, Any]) -> list[dict[str, Any]]:
-    """Events of the trajectory in progress after one more; empty where none is."""
+    """Events of the trajectory in progress after one more event; empty if none is in progress."""
     match event["event"]:
         case "stage" if event["stage"] == 1:
             return [event]
@@ -224,7 +222,7 @@ def torn_by(events: list[dict[str, Any]], event: dict[str, Any]) -> list[dict[st
 
 
 def _state_after(events: Sequence[dict[str, Any]]) -> TrajectoryState:
-    """Where a trajectory stands whose events a journal has; its clock is one that is given from now on."""
+    """State of a trajectory from its events in a journal; its clock is given from now on."""
     last = next(event for event in reversed(events) if event["event"] == "stage")
     done = [event for event in events if event["event"] == "done"]
     return TrajectoryState(

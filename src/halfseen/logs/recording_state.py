@@ -1,8 +1,8 @@
-"""Where a recording stands: names and kinds of what came so far, and the trajectory in progress; replaced whole.
+"""The state of a recording, replaced as a whole: names and kinds of columns so far, and the trajectory in progress.
 
-Columns keep their names and kinds from the first row on, as `Logs` wants it: after hours of recording it would be too
-late to say so. A kind is number, truth value, text, or a list of one of these. Numbers that include fractions, and
-those that include whole numbers so large that a fraction cannot tell them apart, are kinds of their own.
+Columns keep their names and kinds from the first row on, as `Logs` requires; a refusal after hours of recording would
+come too late. A kind is number, truth value, text, or a list of one of these. Numbers with fractions are a kind of
+their own, and so are numbers with whole numbers too large for a float to hold exactly.
 """
 
 import time
@@ -32,22 +32,22 @@ Kinds = dict[str, str]
 
 @dataclass
 class Schema:
-    """Names and kinds of what was recorded so far."""
+    """Names and kinds of the columns recorded so far."""
 
     labels: Kinds = field(default_factory=dict)
-    """Of the names of trajectories, actions, objects and robots, where there are any."""
+    """Kinds of the names of trajectories, actions, objects and robots, if there are any."""
     trajectories: Kinds = field(default_factory=dict)
     covariates: Kinds | None = None
-    """Of the covariates of the stages; None before the first stage."""
+    """Kinds of the covariates of the stages; None before the first stage."""
     objects: Kinds | None = None
-    """Of the columns of the objects; None before the first stage, empty where stages have none."""
+    """Kinds of the columns of the objects; None before the first stage, empty if stages have no objects."""
     has_probability: bool | None = None
     """Whether actions come with their probability; None before the first action."""
     has_robot: bool | None = None
-    """Whether stages say which robot decides; None before the first stage."""
+    """Whether stages name the robot that decides; None before the first stage."""
 
     def with_trajectory(self, name: Any, columns: Mapping[str, Any]) -> tuple["Schema", Any, Row]:
-        """Check a trajectory's name and columns; columns may differ between trajectories, and None leaves one out."""
+        """Check a trajectory's name and columns. Columns may differ between trajectories; None leaves one out."""
         schema, where = replace(self, labels=dict(self.labels)), f"trajectory {shown(name)}"
         name = schema._label("trajectory", name, where)
         row, kinds = _row(columns, self.trajectories, where, "column")
@@ -57,9 +57,9 @@ class Schema:
     def with_stage(
         self, covariates: Any, objects: Any, chosen: Mapping[str, Any], where: str
     ) -> tuple["Schema", dict[str, Any]]:
-        """Check what is known when a stage begins, and make its event.
+        """Check the inputs of a stage that begins, and make its event.
 
-        Of `chosen`, robot, action, object, probability and stepped_back are None or left out where there is none;
+        `chosen` holds robot, action, object, probability and stepped_back, each None or left out if there is none;
         `where` names the trajectory and the stage.
         """
         schema = replace(self, labels=dict(self.labels))
@@ -124,7 +124,7 @@ class Schema:
         return choice | ({} if why is None else {STEPPED_BACK: checked_text(why, where, STEPPED_BACK)})
 
     def _check_always(self, what: str, is_given: bool, where: str) -> None:
-        """Refuse what is given in some stages only."""
+        """Refuse a value that is given in some stages only."""
         if getattr(self, f"has_{what}") not in (None, is_given):
             word = "given" if is_given else "missing"
             raise LogError(f"{where}: {what} is {word}, unlike in stages before; give it always or never")
@@ -145,16 +145,16 @@ class Schema:
 
 @dataclass(frozen=True)
 class TrajectoryState:
-    """Where a trajectory that is being recorded stands, and its clock, which never goes back."""
+    """State of a trajectory that is being recorded, and its clock, which never goes back."""
 
     name: int | str
     number: int = 0
-    """Among the trajectories that this recorder began."""
+    """Its number among the trajectories that this recorder began."""
     stage: int = 0
     """Number of the stage that began last; 0 before the first."""
     is_in_stage: bool = False
     has_action: bool = False
-    """Whether it began with an action."""
+    """Whether the stage began with an action."""
     is_ended: bool = False
     at_s: float = 0.0
     """Time of the last event [s]."""
@@ -165,24 +165,24 @@ class TrajectoryState:
     completed_s: float = 0.0
     """When its last stage was completed [s]."""
     noted_s: float = 0.0
-    """When it was last known on disk to be running [s]."""
+    """Latest time up to which the disk shows it running [s]."""
     events: tuple[dict[str, Any], ...] = ()
-    """Its events so far, where somebody checks the trajectory as it grows; else empty."""
+    """Its events so far, if they are kept; else empty."""
 
     def started(self) -> "TrajectoryState":
-        """The state whose clock begins to count now."""
+        """The state with its clock started now."""
         return replace(self, began_s=time.monotonic())
 
     def read_s(self) -> float:
-        """Read the machine's clock [s], in nanoseconds, and never the same twice, however coarse that clock is."""
+        """Read the machine's clock [s], rounded to nanoseconds; strictly increasing, however coarse that clock is."""
         return max(round(time.monotonic() - self.began_s, 9), round(self.at_s + RESOLUTION_S, 9))
 
     def after(self, at_s: float, elapsed_s: Any, **changed: Any) -> "TrajectoryState":
-        """The state after an event at a time that was given as `elapsed_s` or, if None, read."""
+        """The state after an event at a time given as `elapsed_s` or, if that is None, read."""
         return replace(self, at_s=at_s, is_given=elapsed_s is not None, **changed)
 
     def time_of(self, elapsed_s: Any, where: str, *, is_later: bool = False) -> float:
-        """Time of an event [s], given or, if None, read; checked to be no earlier (or later) than the last event."""
+        """Time of an event [s], given or, if None, read. It must not precede (or must follow) the last event."""
         if self.is_given not in (None, elapsed_s is not None):
             word = "missing" if elapsed_s is None else "given"
             raise LogError(f"{where}: elapsed_s is {word}, unlike before in this trajectory; give it always or never")
@@ -201,19 +201,19 @@ class TrajectoryState:
         return at_s
 
     def end_s(self, elapsed_s: Any, where: str) -> float:
-        """Time of the trajectory's end [s]: without a word about it, a clock that is given stands at the last event."""
+        """Time of the trajectory's end [s]; if the clock is given and this time is not, that of the last event."""
         return self.at_s if self.is_given and elapsed_s is None else self.time_of(elapsed_s, where)
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a folder holds."""
+    """State of the recording in a folder."""
 
     schema: Schema = field(default_factory=Schema)
     num_shares: int | None = None
-    """Of how many robots each stage tells the rewards; None before the first completed stage."""
+    """Number of robots with own rewards in each stage; None before the first completed stage."""
     trajectory: TrajectoryState | None = None
-    """The trajectory that began last; None before the first of this recorder."""
+    """The last trajectory that began; None before the first of this recorder."""
 
 
 def checked_number(value: Any, what: str, where: str, remedy: str) -> float:
@@ -229,7 +229,7 @@ def checked_number(value: Any, what: str, where: str, remedy: str) -> float:
 
 
 def checked_text(value: str, where: str, what: str) -> str:
-    """Refuse text that files or tables do not hold, or do not tell apart."""
+    """Refuse text that files or tables cannot store or distinguish."""
     if "\0" in value:
         raise LogError(f"{where}: {what} {_short(value)} holds the character NUL; end the text before it")
     try:
@@ -242,10 +242,10 @@ def checked_text(value: str, where: str, what: str) -> str:
 def _row(
     values: Any, known: Kinds | None, where: str, word: str, also: Kinds | None = None
 ) -> tuple[dict[str, Any], Kinds]:
-    """Values as JSON holds them, and their kinds; `also` those of what is there besides.
+    """Values as JSON holds them, and their kinds; `also` holds the kinds of further columns of the row.
 
-    Those of a trajectory, which are columns, may be None or missing; covariates are the same in every row, but for
-    flags of missing ones, which one policy has and another has not.
+    Columns of a trajectory may be None or missing. Covariates are the same in every row, except for flags of missing
+    values, which depend on the policy.
     """
     if not isinstance(values, Mapping):
         raise LogError(f"{where}: covariates are a {type(values).__name__}; give a dict of names and values")
@@ -275,7 +275,7 @@ def _row(
 
 
 def _common_kind(before: str | None, now: str, where: str, what: str) -> str:
-    """The kind of a column that was of one kind, and is now given another."""
+    """The kind of a column whose values were of one kind and now come with another."""
     if before is None or before == now:
         return now
     for kind, other in ((before, now), (now, before)):
@@ -290,7 +290,7 @@ def _common_kind(before: str | None, now: str, where: str, what: str) -> str:
 
 
 def _holds(kind: str, other: str) -> bool:
-    """Whether a column of one kind also holds what is of the other."""
+    """Whether a column of one kind can also hold values of the other."""
     if kind.startswith(_EMPTY_LIST) and other.startswith(_EMPTY_LIST):
         item, other_item = (each.removeprefix("list of ").removesuffix("s") for each in (kind, other))
         return other == _EMPTY_LIST or (kind != _EMPTY_LIST and _holds(item, other_item))
@@ -298,7 +298,7 @@ def _holds(kind: str, other: str) -> bool:
 
 
 def _in_words(kind: str) -> str:
-    """Numbers of all kinds are numbers."""
+    """The kind in words, with all kinds of numbers as "number"."""
     return kind.replace(_FRACTION, _NUMBER).replace(_HUGE, _NUMBER)
 
 
@@ -335,7 +335,7 @@ def _written(name: str) -> str:
 
 
 def _short(value: Any) -> str:
-    """Write a value in a line, however long it is."""
+    """Write a value in one line, shortened if long."""
     if isinstance(value, int) and value.bit_length() > 200:
         return f"a whole number of {value.bit_length()} bits"
     text = repr(value)

@@ -1,4 +1,4 @@
-"""A log of any form, read whole; or, if it need not fit in memory, a few thousand whole trajectories at a time."""
+"""Reading a log in any format, whole or, if it need not fit in memory, a few thousand trajectories at a time."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -34,11 +34,11 @@ compute: Any = pyarrow.compute
 
 
 Tables = dict[str, pa.Table]
-"""By name."""
+"""Tables by name."""
 
 
 class ShardReader:
-    """Reads parts of a folder, each from the groups of rows that hold it."""
+    """Reads parts of a folder, each from the row groups that contain it."""
 
     def __init__(self, folder: Folder) -> None:
         self._folder = folder
@@ -50,17 +50,17 @@ class ShardReader:
         Raises
         ------
         LogError
-            A file is broken, or the part is; the trajectory is named.
+            A file or the part is broken; the message names the trajectory.
         """
         return logs_of(self._folder, [self.tables(part)])
 
     def tables(self, part: Part, kept: np.ndarray | None = None) -> Tables:
-        """Read a part, or some of its trajectories, and check nothing.
+        """Read a part, or some of its trajectories, without checks.
 
         Parameters
         ----------
         part
-            Which.
+            The part.
         kept
             Numbers of the trajectories to keep, counted from the beginning of the part; None for all.
         """
@@ -76,7 +76,7 @@ class ShardReader:
 
 
 def _refuse_others(file: Place, trajectories: pa.ChunkedArray, names: list[Any]) -> None:
-    """Refuse rows of other trajectories than those that stand there."""
+    """Refuse rows of trajectories other than those in `names`."""
     for found, name in zip(trajectories.unique().to_pylist(), names, strict=True):
         if found != name:
             raise LogError(
@@ -86,12 +86,12 @@ def _refuse_others(file: Place, trajectories: pa.ChunkedArray, names: list[Any])
 
 
 def logs_of(folder: Folder, parts: Sequence[Tables]) -> Logs:
-    """Make a log of the tables of some parts.
+    """Make a log from the tables of some parts.
 
     Raises
     ------
     LogError
-        It is broken; the trajectory is named.
+        A part is broken; the message names the trajectory.
     """
     tables: dict[str, Any] = {name: pa.concat_tables([part[name] for part in parts]) for name in folder.num_rows}
     with within(folder.place):
@@ -105,32 +105,32 @@ TRAJECTORIES_AT_ONCE = 2_000
 class LogStream:
     """A folder of logs, read in parts of whole trajectories; every part is checked as `Logs` are.
 
-    Of the trajectories only ends are held. All tables must be sorted by trajectory, as `Logs.write` and `write_stream`
-    leave them.
+    Only the ends of the trajectories stay in memory. All tables must be sorted by trajectory, as `Logs.write` and
+    `write_stream` write them.
 
     Parameters
     ----------
     folder
         A folder of Parquet files, or its address in an object store.
     trajectories_at_once
-        Trajectories of each part.
+        Number of trajectories in each part.
     missing
-        What stands for covariates of the stages that are null, as `Logs` takes it; it is learned in a pass of its own.
+        What replaces null in covariates of the stages, as in `Logs`; it is learned in a separate pass.
 
     Raises
     ------
     LogError
-        The folder or one of its files is missing or broken, or the trajectories are.
+        The folder or one of its files is missing or broken, or the trajectories are invalid.
     ArgumentError
-        `trajectories_at_once` is below 1, or `missing` is no rule or names no covariate.
+        `trajectories_at_once` is below 1, or `missing` is not a known rule or names a column that is not a covariate.
     """
 
     as_folder: Folder
-    """What a worker needs to know, to read a shard."""
+    """Description of the folder, with which a worker reads a shard."""
     reward_unit: str | None
-    """What rewards are counted in; None if nobody has said."""
+    """Unit of the rewards; None if unknown."""
     num_stages: int
-    """Number of stages of all trajectories together."""
+    """Number of stages in all trajectories."""
     has_objects: bool
     """Whether the stages have objects."""
     end_s: Rows
@@ -155,7 +155,7 @@ class LogStream:
         with within(self.folder):
             filling = learned_filling(missing, self.stage_covariates, self._column, self.num_stages)
         self.as_folder = self.as_folder._replace(filling=filling)
-        # A table of millions of trajectories is larger than all that is held beside it.
+        # A table of millions of trajectories would be larger than everything else in memory.
         ends = [
             (part["end_s"].to_numpy(), (part["ending"] == FINISHED).to_numpy(bool))
             for part in self._trajectory_tables()
@@ -166,21 +166,21 @@ class LogStream:
 
     @property
     def trajectories(self) -> pd.DataFrame:
-        """One row a trajectory, sorted by trajectory; it is read when it is asked for."""
+        """One row per trajectory, sorted by trajectory; read on each access."""
         return pd.concat(self._trajectory_tables(), ignore_index=True)
 
     @property
     def num_trajectories(self) -> int:
-        """Number n of trajectories."""
+        """Number of trajectories n."""
         return len(self.end_s)
 
     @property
     def trajectory_ids(self) -> np.ndarray:
-        """Names of the trajectories, shape (n,); they are read when they are asked for."""
+        """Names of the trajectories, shape (n,); read on each access."""
         return self.trajectories["trajectory"].to_numpy()
 
     def shards(self) -> list[Shard]:
-        """Deal the parts into shards, by the size of the log alone.
+        """Divide the parts into shards, depending on the size of the log alone.
 
         Raises
         ------
@@ -191,7 +191,7 @@ class LogStream:
 
     @property
     def horizon(self) -> int:
-        """Number of stages T of the longest trajectory."""
+        """Number of stages T in the longest trajectory."""
         with within(self.folder):
             return max(
                 int(as_counts("stages", frame, "stage").max()) for frame in self.stage_columns("trajectory", "stage")
@@ -199,7 +199,7 @@ class LogStream:
 
     @property
     def stage_covariates(self) -> list[str]:
-        """Names of the stages' covariates, with those that are filled in and the columns that tell what was missing."""
+        """Names of the stages' covariates, including filled-in columns and flags of missing values."""
         there = [name for name in self.as_folder.opened("stages").schema_arrow.names if is_stage_covariate(name)]
         if self.filling is None:
             return there
@@ -208,30 +208,30 @@ class LogStream:
 
     @property
     def filling(self) -> Filling | None:
-        """What stands for covariates that were null; None if null is refused."""
+        """Values that replace null in covariates; None if null is refused."""
         return self.as_folder.filling
 
     @property
     def has_all_actions(self) -> bool:
-        """Whether the action of every stage is known, also where a trajectory was cut."""
+        """Whether the action of every stage is known, including stages in which a trajectory was cut."""
         return all(bool(frame["action"].notna().all()) for frame in self.stage_columns("action"))
 
     def stage_columns(self, *names: str) -> Iterator[pd.DataFrame]:
-        """Read some columns of the stages alone, row by row as they stand."""
+        """Read some columns of the stages, in the order of the rows."""
         for batch in self.as_folder.batches("stages", list(names)):
-            # What pandas once noted of the table may be broken, and nothing rests on it.
+            # The pandas metadata of the table may be broken and is not needed.
             yield frame_of(pa.Table.from_batches([batch.replace_schema_metadata()]))
 
     def _column(self, name: str) -> Iterator[Any]:
         return (as_frame("stages", frame)[name] for frame in self.stage_columns(name))
 
     def __iter__(self) -> Iterator[Logs]:
-        """Read the parts, one after the other, from the beginning."""
+        """Read the parts one after the other, from the beginning."""
         reader = ShardReader(self.as_folder)
         return (reader.read(part) for shard in self.shards() for part in shard.parts)
 
     def _trajectory_tables(self) -> Iterator[pd.DataFrame]:
-        """Read the table of trajectories in parts, each checked, and sorted after the one before."""
+        """Read the table of trajectories in parts; each is checked and must sort after the one before."""
         last: Any = None
         for batch in self.as_folder.batches("trajectories"):
             with within(self.folder):
@@ -245,31 +245,31 @@ class LogStream:
 
 
 MOST_STAGES_IN_MEMORY = 500_000
-"""A log of more is read in passes where nothing else is said (`opened`)."""
+"""Larger logs are read in passes by default (`opened`)."""
 
 
 def read_logs(folder: str | Place, *, missing: Missing = None) -> Logs:
-    """Read a folder that `Logs.write` or a `LogRecorder` wrote, or one of CSV files, and check it again.
+    """Read a folder written by `Logs.write` or a `LogRecorder`, or one of CSV files, and check it again.
 
-    A recorder's folder can be read at any time. A trajectory that a crash tore has the cause "crash"; one that is being
-    recorded has the cause "still-running".
+    A recorder's folder can be read at any time. A trajectory interrupted by a crash has the cause "crash"; one that is
+    being recorded has the cause "still-running".
 
     Parameters
     ----------
     folder
-        The folder; its address, where it lies in an object store, as Parquet files.
+        The folder; or, for Parquet files in an object store, its address.
     missing
-        What stands for covariates of the stages that are null, as `Logs` takes it.
+        What replaces null in covariates of the stages, as in `Logs`.
 
     Raises
     ------
     LogError
-        The folder or one of its files is missing, broken or of another version, or the tables break an invariant.
+        The folder or one of its files is missing, broken or of another version, or the tables violate an invariant.
     """
     folder = place_of(folder)
     is_here = isinstance(folder, Path)
     if is_here and (folder / "stages.csv").is_file() and not (folder / MANIFEST).exists():
-        # Formats know logs, not the other way round.
+        # Imported here: formats depend on logs, not the other way round.
         from halfseen.logs.formats.csv_folder import read_csv
 
         return read_csv(folder, missing=missing)
@@ -279,24 +279,24 @@ def read_logs(folder: str | Place, *, missing: Missing = None) -> Logs:
 
 
 def opened(folder: str | Place, streaming: bool | None = None, *, missing: Missing = None) -> Logs | LogStream:
-    """Read a log, or, if it is one of many stages, open it to be read in passes.
+    """Read a log or, if it has many stages, open it for reading in passes.
 
     Parameters
     ----------
     folder
-        A log of any form, or the address of one of Parquet files in an object store.
+        A log in any format, or the address of one in Parquet files in an object store.
     streaming
-        Whether it is to be read in passes; None for what suits its size.
+        Whether to read it in passes; None to decide by its size.
     missing
-        What stands for covariates of the stages that are null, as `Logs` takes it.
+        What replaces null in covariates of the stages, as in `Logs`.
 
     Raises
     ------
     LogError
-        The folder or one of its files is missing or broken, or it is to be read in passes and its form cannot.
+        The folder or one of its files is missing or broken, or its format cannot be read in passes.
     """
     folder = place_of(folder)
-    # In a store there is no other form.
+    # Stores hold no other format.
     is_parquet = not isinstance(folder, Path) or (folder / MANIFEST).is_file()
     if streaming and not is_parquet:
         raise LogError(
@@ -309,5 +309,5 @@ def opened(folder: str | Place, streaming: bool | None = None, *, missing: Missi
 
 
 def parts_of(log: Logs | LogStream) -> Iterable[Logs]:
-    """Parts of a log, which is one in memory."""
+    """Parts of a log; a log in memory is one part."""
     return [log] if isinstance(log, Logs) else log

@@ -1,4 +1,4 @@
-"""A trajectory that is being recorded: each call is checked, and then one event of a journal."""
+"""Recording one trajectory: each call is checked, then written as one event of a journal."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -15,18 +15,18 @@ from halfseen.logs.recorded import CRASH, STILL_RUNNING, followed, tables_of
 from halfseen.logs.recording_state import Recorded, Schema, TrajectoryState, checked_number, checked_text
 
 CAUSES = ("operator", "emergency-stop", "time-out", "battery", "sensor-lost", CRASH)
-"""Usual causes of cuts; any other text will do."""
+"""Usual causes of cuts; any other text is accepted."""
 
 STILL_RUNNING_EVERY_S = 0.5
 
 
 def log_so_far(events: Sequence[dict[str, Any]]) -> Logs:
-    """Give the log of one trajectory in progress, cut at its last event.
+    """Build the log of one trajectory in progress, cut at its last event.
 
     Raises
     ------
     LogError
-        What happened so far is none that a log takes.
+        The trajectory so far violates an invariant of logs.
     """
     trajectory = followed(events)
     trajectory.end(CUT, None, STILL_RUNNING)
@@ -34,11 +34,11 @@ def log_so_far(events: Sequence[dict[str, Any]]) -> Logs:
 
 
 class TrajectoryRecorder:
-    """A trajectory that is being recorded; `LogRecorder.begin_trajectory` makes it.
+    """A trajectory that is being recorded, created by `LogRecorder.begin_trajectory`.
 
-    Its clock is read from `time.monotonic`, and each stage then lasts until the next begins. Or it is given as
-    ``elapsed_s``, always, and each stage then lasts as long as is said. That of several robots may stand still: where
-    two are free at once, the stage between their decisions takes no time.
+    Its clock is either read from `time.monotonic`, and each stage lasts until the next begins, or always given as
+    ``elapsed_s``. With several robots the given clock may stand still: if two are free at once, the stage between
+    their decisions takes no time.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class TrajectoryRecorder:
 
     @property
     def events(self) -> tuple[dict[str, Any], ...]:
-        """Its events so far, where the recorder keeps them; else none."""
+        """Its events so far, if the recorder keeps them; else empty."""
         return self._state.events
 
     @property
@@ -77,7 +77,7 @@ class TrajectoryRecorder:
 
     @property
     def _state(self) -> TrajectoryState:
-        """Where it stands; it has ended once another has begun."""
+        """Its current state; it has ended once another trajectory has begun."""
         state: TrajectoryState = self._journal.known.trajectory
         return state if state.number == self._number else TrajectoryState(self.name, is_ended=True)
 
@@ -91,7 +91,7 @@ class TrajectoryRecorder:
         robot: Any = None,
         stepped_back: Any = None,
     ) -> None:
-        """Begin a stage: what was seen, and what is done about it.
+        """Begin a stage with its covariates and the chosen action.
 
         Parameters
         ----------
@@ -99,25 +99,25 @@ class TrajectoryRecorder:
             What the policy saw, by name: numbers, text or flat lists, of Python or NumPy; the same names in every
             stage.
         objects
-            A list with a dict for each object that stood there, with its name as "object" and its covariates; None
-            where stages have no objects.
+            A list with a dict for each object present, with its name as "object" and its covariates; None
+            if stages have no objects.
         action
-            What is done, as a whole number or text. It may be left out only in a stage in which the trajectory is then
+            The action, as a whole number or text. It may be left out only in a stage in which the trajectory is then
             cut.
         object
-            What it is done to, if anything.
+            The object of the action, if any.
         probability
-            The probability in (0, 1] with which the policy chose it; always or never.
+            The probability in (0, 1] with which the policy chose the action; always or never.
         robot
-            Of several robots, the number of the one that decides; always or never.
+            With several robots, the number of the one that decides; always or never.
         stepped_back
-            Why a rule decided in the policy's place, such as "out-of-range"; None where it did not.
+            Why a rule decided in the policy's place, such as "out-of-range"; None if the policy decided.
 
         Raises
         ------
         LogError
-            A stage is in progress, or a value is none that a log takes: of several robots also where two are at one
-            object, or one decides that dropped out.
+            A stage is in progress, or a log does not accept a value. With several robots also: two are at one
+            object, or one that dropped out decides.
         """
         state, recorded = self._running(), self._journal.known
         where = self._where(state.stage + 1)
@@ -144,18 +144,18 @@ class TrajectoryRecorder:
         Parameters
         ----------
         reward
-            What it earned.
+            Reward of the stage.
         elapsed_s
-            Time since the trajectory began [s], where the recorder shall not read it from its own clock.
+            Time since the trajectory began [s]; left out to read the recorder's own clock.
         own_rewards
-            What each of several robots brought, robot 0 first, for the columns 0_reward, 1_reward and so on; of the
+            Reward of each of several robots, robot 0 first, for the columns 0_reward, 1_reward and so on; for the
             same robots in every stage of the folder.
 
         Raises
         ------
         LogError
-            No stage is in progress, a reward is no number or beyond 1e75, one of a robot is missing, or the clock does
-            not run forward; of several robots, it may stand.
+            No stage is in progress, a reward is not a number or beyond 1e75, a robot's reward is missing, or the clock
+            does not advance; with several robots it may stand still.
         """
         state, recorded = self._running(), self._journal.known
         where = self._where(state.stage)
@@ -175,7 +175,7 @@ class TrajectoryRecorder:
         self._write(event, replace(recorded, num_shares=len(shares)), completed)
 
     def _checked_shares(self, own_rewards: Any, where: str) -> list[float]:
-        """Rewards of robots as numbers, of as many robots as in the stages before."""
+        """Rewards of the robots as numbers, for as many robots as in the stages before."""
         remedy, known = "give the finite reward that the robot brought", self._journal.known.num_shares
         if not isinstance(own_rewards, Sequence | np.ndarray) or isinstance(own_rewards, str):
             raise LogError(f"{where}: own_rewards is {own_rewards!r}; give a list with the reward of each robot")
@@ -189,7 +189,7 @@ class TrajectoryRecorder:
     def drop_out(self, robot: Any, cause: Any, *, elapsed_s: Any = None) -> None:
         """Note that one of several robots dropped out alone; the trajectory goes on without it.
 
-        Tell it before the stage in which it happens is completed.
+        Call it before the stage in which this happens is completed.
 
         Parameters
         ----------
@@ -203,8 +203,8 @@ class TrajectoryRecorder:
         Raises
         ------
         LogError
-            No robot decided so far, this one has dropped out before or is none of them, the cause is no text, or the
-            clock goes back.
+            No robot has decided so far, this one has already dropped out or does not exist, the cause is not text, or
+            the clock goes back.
         """
         state = self._running()
         self._check_cause(cause)
@@ -221,10 +221,10 @@ class TrajectoryRecorder:
         self._write(event, self._journal.known, state.after(at_s, elapsed_s), is_news=True)
 
     def still_running(self, *, elapsed_s: Any = None) -> None:
-        """Note that the trajectory is in progress, at most twice a second; call it from the control loop.
+        """Note that the trajectory is in progress; call it from the control loop. It writes at most twice a second.
 
         After a crash the trajectory is then known to have run until the last call, not only until its last stage began.
-        Worth it where crashes are many and stages long: see `halfseen.logs.recorded`.
+        This pays off if crashes are frequent and stages long: see `halfseen.logs.recorded`.
         """
         state, recorded = self._running(), self._journal.known
         if state.stage == 0:
@@ -237,12 +237,12 @@ class TrajectoryRecorder:
             self._journal.known = replace(recorded, trajectory=runs)
 
     def finish(self, *, elapsed_s: Any = None) -> None:
-        """End the trajectory where the task ended: it was finished, the table is cleared, the horizon is reached.
+        """End the trajectory because the task ended: it was finished, the table is cleared, the horizon is reached.
 
         Raises
         ------
         LogError
-            A stage is in progress, or none was completed.
+            A stage is in progress, or no stage was completed.
         """
         state = self._running()
         if state.stage == 0 or state.is_in_stage:
@@ -252,7 +252,7 @@ class TrajectoryRecorder:
             )
         where = self._where(state.stage)
         end_s = state.end_s(elapsed_s, where)
-        # What `Logs` takes for another unit.
+        # `Logs` would suspect another unit.
         times = float(thousandfold(end_s, state.completed_s, 2 * UNIT_TOLERANCE)) if state.is_given else 0.0
         if times > 1.0:
             raise LogError(
@@ -262,10 +262,10 @@ class TrajectoryRecorder:
         self._end({"event": FINISHED}, state, elapsed_s)
 
     def cut(self, cause: Any, *, elapsed_s: Any = None) -> None:
-        """End the trajectory where something outside the task ended it.
+        """End the trajectory because something outside the task ended it.
 
-        Between two stages, the cut falls into the stage before: what that led to was not seen. If it was, begin the
-        next stage with its covariates first. Before the first stage nothing was seen, and nothing is written.
+        Between two stages, the cut falls into the earlier stage, since its outcome was not observed. If it was, begin
+        the next stage with its covariates first. Before the first stage nothing was observed, and nothing is written.
 
         Parameters
         ----------
@@ -277,7 +277,7 @@ class TrajectoryRecorder:
         Raises
         ------
         LogError
-            The cause is no text, or the clock goes back.
+            The cause is not text, or the clock goes back.
         """
         state = self._running()
         self._check_cause(cause)
@@ -294,7 +294,7 @@ class TrajectoryRecorder:
     def _write(
         self, event: dict[str, Any], recorded: Recorded, state: TrajectoryState, *, is_news: bool = False
     ) -> None:
-        """Write an event; where somebody reads the trajectory as it grows, let them refuse one with news."""
+        """Write an event; if the trajectory is checked as it grows, the check may first refuse an event with news."""
         if self._keeps_events or recorded.schema.has_robot:
             state = replace(state, events=(*state.events, event))
             if is_news and (self._check is not None or recorded.schema.has_robot):

@@ -1,10 +1,10 @@
-"""Logs in other forms: CSV, any table, databases, bags, MCAP, and datasets of Minari, LeRobot, RLDS and D4RL.
+"""Logs in other formats: CSV, any table, databases, bags, MCAP, and datasets of Minari, LeRobot, RLDS and D4RL.
 
-Read down: `as_text` (columns as text, and what a form cannot hold) → `csv_folder` → `older` (logs of version 1) →
-`mapping` (files that say where things stand) → `sql_rows` → `steps` (steps of others, column by column, as stages) →
+Reading order: `as_text` (columns as text, and what a format cannot store) → `csv_folder` → `older` (logs of version 1)
+→ `mapping` (files that map topics or columns) → `sql_rows` → `steps` (steps of other datasets as stages) →
 `step_tables` → `lerobot_folder` → `step_arrays` → `minari` → `bag_files`, `bag_messages`, `bags` → `table_cells`,
-`ending_flags`, `event_tables` (any table, by a mapping as bags have), `event_template`. Libraries that only some users
-need load when they are used.
+`ending_flags`, `event_tables` (any table, by a mapping as for bags), `event_template`. Optional libraries load on
+first use.
 """
 
 from halfseen.logs.formats.as_text import Loss, losses

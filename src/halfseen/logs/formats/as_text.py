@@ -1,7 +1,7 @@
-"""Columns as text, in words for their types that fit into JSON, and what of a log does not come back from a form.
+"""Columns as text, with JSON names for their types; and the parts of a log that do not survive a format.
 
-What `losses` does not name comes back equal, to the last type and bit, from CSV and from whatever else keeps cells as
-text.
+Everything that `losses` does not name comes back equal, in type and to the last bit, from CSV and other formats that
+store cells as text.
 """
 
 import json
@@ -24,7 +24,7 @@ ColumnType: TypeAlias = str | Mapping[str, Any]
 _NUMBERS = [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]
 _PLAIN = {name: pa.type_for_alias(name) for name in [*_NUMBERS, "float", "double", "bool", "string", "null"]}
 _TIMES = {"date32[day]": pa.date32()}
-# Whole numbers that may be null, as pandas calls them; text of pandas' own has a name that no type of Arrow has.
+# Nullable types as pandas names them; pandas' own text type gets a name that no Arrow type has.
 _NULLABLE = re.compile(r"U?Int(8|16|32|64)|Float(32|64)|boolean")
 _PANDAS_TEXT = "String"
 PARQUET, CSV, MINARI = "parquet", "csv", "minari"
@@ -36,7 +36,7 @@ def column_type(table: str, frame: pd.DataFrame, column: str) -> ColumnType:
     Raises
     ------
     LogError
-        The column is of a type that has no text of its own.
+        The type of the column cannot be written as text.
     """
     values = frame[column]
     if isinstance(values.dtype, pd.CategoricalDtype):
@@ -63,7 +63,7 @@ def column_types(tables: Mapping[str, pd.DataFrame]) -> dict[str, dict[str, Colu
 
 
 def as_cells(values: Any, kind: ColumnType) -> pa.Array:
-    """Bring a column into the form in which it is written: lists as JSON, times as ISO 8601, the rest as it is."""
+    """Convert a column for writing: lists to JSON, times to ISO 8601, the rest unchanged."""
     if isinstance(kind, Mapping):
         values = values.astype(object)
     cells: Any = pa.array(values, from_pandas=True)
@@ -86,7 +86,7 @@ def from_texts(cells: Any, kind: ColumnType) -> Any:
     Raises
     ------
     ValueError
-        A cell is of another type (`pyarrow.ArrowInvalid` and `json.JSONDecodeError` are such), or the type is unknown.
+        A cell has another type (also as `pyarrow.ArrowInvalid` or `json.JSONDecodeError`), or the type is unknown.
     """
     texts = cells if isinstance(cells, pa.Array | pa.ChunkedArray) else pa.array(cells, pa.string())
     if isinstance(kind, Mapping):
@@ -100,7 +100,7 @@ def from_texts(cells: Any, kind: ColumnType) -> Any:
 
 
 def arrow_type(name: str) -> pa.DataType:
-    """Find the type of a name that `column_type` gave.
+    """The Arrow type for a name from `column_type`.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def arrow_type(name: str) -> pa.DataType:
 
 
 def type_name(kind: pa.DataType) -> str | None:
-    """Name a type of Arrow; None where it has no text of its own."""
+    """Name of an Arrow type; None if it cannot be written as text."""
     if pa.types.is_list(kind):
         item = kind.value_type
         inner = None if _is_time(item) else type_name(item)
@@ -146,12 +146,12 @@ def _parsed(cells: Any, kind: pa.DataType) -> Any:
 
 
 def list_of(cell: str) -> Any:
-    """Read a JSON list from a cell; unlike a file of JSON, it may hold NaN.
+    """Read a JSON list from a cell; unlike a JSON file, it may hold NaN.
 
     Raises
     ------
     ValueError
-        It is none, or one that is nested too deeply.
+        The cell is not a JSON list, or is nested too deeply.
     """
     try:
         read = json.loads(cell)
@@ -162,13 +162,13 @@ def list_of(cell: str) -> Any:
 
 
 def from_list_texts(cells: Any) -> pa.Array | None:
-    """Read a column of text whose every cell is a JSON list; None where it is none."""
+    """Read a text column in which every cell is a JSON list; None for other columns."""
     kind = list_type(cells.drop_null().unique().to_pylist()) if pa.types.is_string(cells.type) else None
     return None if kind is None else _parsed(cells, arrow_type(kind))
 
 
 def list_type(cells: list[str]) -> str | None:
-    """Name the type of JSON lists; None if they are none after all, or there are none."""
+    """Name of the type of JSON lists; None if a cell is not such a list, or there are no cells."""
     if not cells or not all(cell.startswith("[") for cell in cells):
         return None
     try:
@@ -179,18 +179,18 @@ def list_type(cells: list[str]) -> str | None:
 
 @dataclass(frozen=True)
 class Loss:
-    """Something that does not come back as it is.
+    """Part of a log that does not come back unchanged.
 
     Parameters
     ----------
     table
-        Where it is.
+        Name of the table.
     column
-        Which column; None for the whole table.
+        Name of the column; None for the whole table.
     trouble
-        What becomes of it.
+        What is lost.
     is_refused
-        Whether the log is not written because of it; if not, the values come back and something else is lost.
+        Whether the log is refused because of it; if not, the values come back and something else is lost.
     """
 
     table: str
@@ -203,12 +203,12 @@ class Loss:
 
 
 def losses(logs: Logs, form: str) -> list[Loss]:
-    """Find out what of a log does not come back from a form.
+    """Find the parts of a log that do not survive a format.
 
     Raises
     ------
     ArgumentError
-        The form is unknown.
+        The format is unknown.
     """
     if form not in (PARQUET, CSV, MINARI):
         raise ArgumentError(f"form {form!r}: it is none of {PARQUET}, {CSV}, {MINARI}; choose one")
@@ -233,12 +233,12 @@ def losses(logs: Logs, form: str) -> list[Loss]:
 
 
 def refuse_lost(logs: Logs, form: str) -> None:
-    """Refuse a log of which something cannot be written in a form; all of it is named.
+    """Refuse a log that cannot be written completely in a format; the message names every such part.
 
     Raises
     ------
     LogError
-        There is such.
+        Part of the log cannot be written.
     """
     found = [str(loss) for loss in losses(logs, form) if loss.is_refused]
     if found:

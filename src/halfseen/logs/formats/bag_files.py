@@ -1,6 +1,6 @@
-"""Files of bags, channel by channel: what ROS recorded, and MCAP files of ROS 2 (CDR), JSON and protobuf, also mixed.
+"""Reading bag files by channel: ROS bags, and MCAP files with ROS 2 (CDR), JSON and protobuf messages, also mixed.
 
-Every chunk of MCAP is unpacked within bounds and checked against its checksum. A ROS message comes as an object, any
+Every MCAP chunk is unpacked within bounds and checked against its checksum. A ROS message is read as an object, any
 other as nested dicts, lists and plain values.
 """
 
@@ -22,14 +22,14 @@ _IDL_LINE = "=" * 80 + "\n"
 
 
 class Channel(NamedTuple):
-    """What carries messages of one type under a topic."""
+    """A stream of messages of one type under a topic."""
 
     topic: str
     kind: str
     key: Any
-    """What tells it from the others of its bag."""
+    """Identifies the channel within its bag."""
     decode: Callable[[bytes], Any]
-    """Makes a message of bytes; of broken ones it raises nearly anything."""
+    """Decodes bytes into a message; broken bytes raise almost any exception."""
 
 
 class Recorded(NamedTuple):
@@ -38,13 +38,13 @@ class Recorded(NamedTuple):
     channel: Channel
     log_ns: int
     publish_ns: int | None
-    """When it was recorded, and when it was sent [ns]; None where the bag does not say."""
+    """When it was sent [ns]; `log_ns` is when it was recorded [ns]. None if the bag does not say."""
     content: bytes
 
 
 @contextmanager
 def opened_bag(bag: Path) -> Iterator[Any]:
-    """Open a bag, a folder or a storage file, whose ``channels`` can be asked for; a broken one is refused."""
+    """Open a bag, a folder or a storage file, as a reader with ``channels``; a broken bag is refused."""
     if not bag.exists():
         raise LogError(f"{bag}: there is no such bag; give the folder that `ros2 bag record` wrote, or its .mcap file")
     files = [bag]
@@ -84,13 +84,13 @@ def messages_of(bag: Path, reader: Any, channels: list[Channel]) -> Iterator[Rec
 
 
 def decoded(bag: Path, message: Recorded) -> Any:
-    """Make a message of its bytes (`LogError`)."""
+    """Decode a message (`LogError`)."""
     with _whole(bag):
         return message.channel.decode(message.content)
 
 
 class _RosBag:
-    """A bag that rosbags opens; it speaks as `_McapFiles` does."""
+    """A bag read by rosbags, with the interface of `_McapFiles`."""
 
     def __init__(self, files: list[Path]) -> None:
         highlevel, typesys = extra("rosbags.highlevel", "ros"), extra("rosbags.typesys", "ros")
@@ -113,7 +113,7 @@ class _RosBag:
 
 
 class _McapFiles:
-    """Messages of MCAP files that follow one another; a broken file raises nearly anything."""
+    """Messages of consecutive MCAP files; a broken file raises almost any exception."""
 
     def __init__(self, files: Sequence[Path]) -> None:
         extra("mcap", "mcap")
@@ -140,7 +140,7 @@ def _channels(number: int, file: Path) -> Iterator[Channel]:
 
 
 def _described(file: Path) -> tuple[dict[int, Any], dict[int, Any]]:
-    """Schemas and channels by their numbers: as the summary says, or, where there is none, from all that is there."""
+    """Schemas and channels by their numbers, from the summary or, without one, from all records."""
     with opened(file, TABLE) as content:
         summary = extra("mcap.reader", "mcap").SeekingReader(_Bounded(content)).get_summary()
     counted = None if summary is None or summary.statistics is None else summary.statistics.channel_count
@@ -168,7 +168,7 @@ def _records(file: Path) -> Iterator[Any]:
 
 
 def _unpacked(chunk: Any) -> bytes:
-    """Unpack no more of a chunk than it says to hold."""
+    """Unpack a chunk, up to its declared size."""
     size = chunk.uncompressed_size
     check_unpacked(len(chunk.data), size)
     if chunk.compression == "zstd":
@@ -185,7 +185,7 @@ def _unpacked(chunk: Any) -> bytes:
 
 
 class _Bounded:
-    """A file of which no more is asked for than it has, whatever it says itself."""
+    """A file whose reads are limited to its actual size, whatever sizes its contents declare."""
 
     def __init__(self, file: BufferedReader) -> None:
         self._file = file
@@ -236,7 +236,7 @@ def _of_ros(schema: Any) -> Callable[[bytes], Any]:
 
 
 def _plain(message: Any) -> dict[str, Any]:
-    """A message of protobuf as a dict: enumerated values by their names, messages that are not set as null."""
+    """A protobuf message as a dict: enum values by name, unset messages as null."""
     return {field.name: _field(message, field) for field in message.DESCRIPTOR.fields}
 
 

@@ -1,9 +1,9 @@
-"""Messages of bags by a mapping: in the order of a clock, their fields read by path.
+"""Mapped messages of bags, in the order of a clock, with their fields read by path.
 
-A simulation's clock falls back when it is reset, and what follows is of another run. Messages of several topics come a
-little out of order, so that a small fall is none. Nor is one of some seconds where the clock goes on as before: that
-message was late. Just after a reset some messages may still be of the run before. When each was recorded tells all
-these apart.
+A simulation's clock falls back at a reset, and later messages belong to another run. A small fall is not a reset,
+since messages of several topics arrive slightly out of order. Neither is a fall of some seconds after which the clock
+goes on as before: that message was late. Just after a reset some messages may still belong to the run before. The
+recording times distinguish these cases.
 """
 
 import re
@@ -26,31 +26,31 @@ _SECONDS, _NANOSECONDS = ("sec", "seconds", "secs"), ("nanosec", "nsec", "nanos"
 _FLOATS = {7: "f4", 8: "f8"}
 
 JITTER_NS = 10**9
-"""How far stamps fall at most without a reset, and how long after one messages of the run before still come [ns]."""
+"""Largest fall of stamps without a reset, and how long after a reset messages of the run before may come [ns]."""
 MOST_LATE_NS = 5 * 10**9
-"""How late a message may be of which the clock goes on as before [ns]."""
+"""Largest delay of a late message after which the clock goes on as before [ns]."""
 
 
 class Event(NamedTuple):
-    """One value that a message, or a row of a table, carries."""
+    """One value in a message or in a row of a table."""
 
     stamp_ns: int
-    """When, on the clock of the mapping [ns]."""
+    """Time on the clock of the mapping [ns]."""
     key: str
     """Its table in the mapping file, such as ``reward`` or ``covariates.occlusion``."""
     value: Any
-    """Text, a number or a boolean; of a cloud its number among the bag's clouds, to be read by `read_clouds`."""
+    """Text, a number or a boolean; for a cloud its number among the bag's clouds, to be read by `read_clouds`."""
     place: str = ""
-    """Where it stands, as a message begins; empty in a bag, whose reader names the bag."""
+    """Its place, as the prefix of error messages; empty in a bag, whose reader names the bag."""
 
 
 def check_topics(bags: list[Path], mapping: BagMapping) -> None:
-    """Refuse a mapping that names a topic which none of the bags has; one that broke off early may lack some.
+    """Refuse a mapping with a topic that none of the bags has; a bag that broke off early may lack some.
 
     Raises
     ------
     ArgumentError
-        There is no such topic, or that of the clouds carries something else.
+        There is no such topic, or the topic of the clouds has another type.
     LogError
         A bag is missing or broken.
     """
@@ -73,14 +73,14 @@ def check_topics(bags: list[Path], mapping: BagMapping) -> None:
 
 
 def read_events(bag: Path, mapping: BagMapping) -> list[list[Event]]:
-    """Read all that the mapping names, by runs of its clock, which begin where it was reset.
+    """Read all mapped values, by runs of the clock; a run begins where the clock was reset.
 
-    Each is in the order of the clock; equal stamps keep the order of the recording.
+    Each run is in the order of the clock; equal stamps keep the order of the recording.
 
     Raises
     ------
     ArgumentError
-        rosbags is not installed, or the mapping names a topic or field that is not there, or one of a wrong type.
+        rosbags is not installed, or the mapping names a topic or field that is missing or has the wrong type.
     LogError
         The bag is missing or broken.
     """
@@ -118,13 +118,13 @@ def runs_of(stamps_ns: Sequence[int], recorded_ns: Sequence[int]) -> list[int]:
     stamps_ns
         Clock of each message [ns].
     recorded_ns
-        When it was recorded [ns]; never falls.
+        When it was recorded [ns]; never decreases.
     """
-    # Of Python's own: a broken stamp may have any number of digits.
+    # Python integers: a broken stamp may have any number of digits.
     ahead_ns = [stamp_ns - at_ns for stamp_ns, at_ns in zip(stamps_ns, recorded_ns, strict=True)]
     runs: list[int] = []
     run = reset_ns = highest_ns = 0
-    now = before = 0  # how far ahead of the recorder's the clock is, in this run and in the one before
+    now = before = 0  # how far the clock is ahead of the recorder's, in this run and in the one before
     for k, (stamp_ns, offset) in enumerate(zip(stamps_ns, ahead_ns, strict=True)):
         if run and recorded_ns[k] - reset_ns <= JITTER_NS and abs(offset - before) < abs(offset - now):
             runs.append(run - 1)
@@ -140,14 +140,14 @@ def runs_of(stamps_ns: Sequence[int], recorded_ns: Sequence[int]) -> list[int]:
 
 
 def _goes_on(k: int, now: int, ahead_ns: Sequence[int], recorded_ns: Sequence[int]) -> bool:
-    """Whether the clock goes on after message k as if that had not come, rather than from there."""
+    """Whether the clock goes on after message k as if it had not come, rather than from its stamp."""
     begin = bisect_right(recorded_ns, recorded_ns[k] + JITTER_NS)
     end = bisect_right(recorded_ns, recorded_ns[k] + 2 * JITTER_NS)
     return any(abs(each - now) < abs(each - ahead_ns[k]) for each in ahead_ns[begin : max(end, begin + 1)])
 
 
 def read_clouds(bag: Path, topic: str, wanted: set[int]) -> Iterator[tuple[int, Any]]:
-    """Read some of a bag's clouds, one after the other: a recording of clouds is often larger than memory.
+    """Read some of a bag's clouds one by one: a recording of clouds is often larger than memory.
 
     Parameters
     ----------
@@ -156,7 +156,7 @@ def read_clouds(bag: Path, topic: str, wanted: set[int]) -> Iterator[tuple[int, 
     topic
         Topic of the clouds.
     wanted
-        Their numbers, as in `Event`.
+        Numbers of the clouds, as in `Event`.
 
     Raises
     ------
@@ -171,12 +171,12 @@ def read_clouds(bag: Path, topic: str, wanted: set[int]) -> Iterator[tuple[int, 
 
 
 def points_of(message: Any, where: str) -> tuple[Float[np.ndarray, "n 3"], tuple[int, int]]:
-    """Points of a PointCloud2 [m], and its rows and columns.
+    """Points of a PointCloud2 [m], and its numbers of rows and columns.
 
     Raises
     ------
     LogError
-        It has no coordinates, or fewer bytes than it announces.
+        The cloud has no coordinates, or fewer bytes than declared.
     """
     fields = {entry.name: entry for entry in message.fields}
     kinds = {axis: _FLOATS.get(fields[axis].datatype) for axis in "xyz" if axis in fields}
@@ -222,7 +222,7 @@ def _stamp(message: Any, recorded: Recorded, mapping: BagMapping) -> int:
 
 
 def _part(value: Any, name: str) -> Any:
-    """A field of a message; None where it has none."""
+    """A field of a message; None if it has no such field."""
     return value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
 
 
@@ -250,14 +250,14 @@ def _entered(value: Any, step: str, path: str, where: str) -> Any:
 
 
 def _fields(value: Any) -> list[str]:
-    """What a message, or a part of one, consists of, by name."""
+    """Names of the fields of a message or of a part of one."""
     if isinstance(value, Mapping):
         return list(value)
     return [name for name in getattr(value, "__dataclass_fields__", {}) if not name.startswith("_")]
 
 
 def _inside(value: Any, path: str) -> str:
-    """What a path could go on with."""
+    """Hint at the fields with which a path could continue."""
     prefix = f"{path}." if path else ""
     if isinstance(value, list | np.ndarray):
         return f"one of its {len(value)} entries, {prefix}0 to {prefix}{len(value) - 1}" if len(value) else "another"

@@ -1,21 +1,20 @@
 """Logs from ROS 2 bags (SQLite or MCAP storage) and ROS 1 bags, by a mapping file.
 
-Read down: `mapping` (which topic carries what) → `bag_messages` (values in the order of time) → here.
-Messages of standard types are enough: ``std_msgs`` for actions, rewards and endings,
-``sensor_msgs/PointCloud2`` for clouds.
+Reading order: `mapping` (which topic carries which value) → `bag_messages` (values in the order of time) → here.
+Standard message types suffice: ``std_msgs`` for actions, rewards and endings, ``sensor_msgs/PointCloud2`` for clouds.
 
 How messages become stages:
 
-- A trajectory begins with the message that ``[trajectory]`` maps, or, without that, with the first mapped message of
-  the bag. Its clock is 0 then.
-- Where the clock falls back by more than a second, and no message was merely late, a simulation was reset: a trajectory
+- A trajectory begins with the message that ``[trajectory]`` maps or, without it, with the first mapped message of
+  the bag. Its clock starts at 0.
+- If the clock falls back by more than a second and no message was merely late, a simulation was reset: a trajectory
   ends there, and without ``[trajectory]`` another begins.
-- An action message begins the attempt of a stage. The covariates and the cloud are those that had come last: what the
-  policy saw. A reward message completes the stage.
+- An action message begins a stage. Its covariates and cloud are the latest received, which the policy saw. A reward
+  message completes the stage.
 - An ending message finishes the trajectory or names the cause of its cut. A trajectory without one was cut by ``crash``
-  at its last message. A cut trajectory keeps the stage in which it was cut, with what had been seen.
-- Every topic of the mapping must be in one of the bags that are read together; one that broke off early may lack some.
-- A trajectory that was cut before anything of it was seen has no stage; it is left out with a warning.
+  at its last message. A cut trajectory keeps the stage in which it was cut, with its covariates.
+- Every topic of the mapping must be in one of the bags read together; a bag that broke off early may lack some.
+- A trajectory that was cut before all covariates were received has no stage; it is left out with a warning.
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -38,10 +37,10 @@ CRASH = "crash"
 _COVARIATE = "covariates."
 
 See: TypeAlias = Callable[[np.ndarray, tuple[int, int], str], Mapping[str, Any]]
-"""From points, shape (n, 3) [m], the rows and columns of the image, and a name, to columns of `objects`."""
+"""Maps points, shape (n, 3) [m], the rows and columns of the image, and a name to columns of `objects`."""
 
 Keep: TypeAlias = Callable[[np.ndarray, tuple[int, int], str], str]
-"""From the same, to what stands in the stage's column ``cloud``: the name of the file that was written."""
+"""Maps the same to the stage's value in column ``cloud``: the name of the written file."""
 
 
 def read_bag(
@@ -58,23 +57,23 @@ def read_bag(
     bags
         Folder or storage file of a bag, or several of them.
     mapping
-        Which topic carries what: a file, as in `MAPPING_TEMPLATE`, or what `read_mapping` made of one.
+        Mapping of the topics: a file, as in `MAPPING_TEMPLATE`, or the result of `read_mapping`.
     see
-        Turns the cloud of a stage into its objects; without it the logs have none.
+        Turns the cloud of a stage into its objects; without it the log has none.
     keep
         Writes the cloud of a stage to a file, whose name goes into the stage's column ``cloud``.
 
     Returns
     -------
     Logs
-        Trajectories carry the name of their bag in the column ``bag``; without a name of their own they are numbered.
+        Trajectories have the name of their bag in the column ``bag``; those without a name are numbered.
 
     Raises
     ------
     ArgumentError
-        rosbags is not installed, or the mapping does not fit the bag; its file and key are named.
+        rosbags is not installed, or the mapping does not fit the bag; the message names its file and key.
     LogError
-        A bag is missing or broken, or its messages make no stages.
+        A bag is missing or broken, or its messages do not form stages.
     """
     mapping = mapping if isinstance(mapping, BagMapping) else read_mapping(mapping)
     if mapping.cloud is None and (see is not None or keep is not None):
@@ -112,12 +111,12 @@ def logs_of(
     missing: Missing = None,
     **known: Sequence[Any],
 ) -> Logs:
-    """Put trajectories that were followed into one log.
+    """Make one log from trajectories.
 
     Raises
     ------
     LogError
-        There is none, or they break an invariant.
+        There are no trajectories, or they violate an invariant.
     """
     if not found:
         raise LogError(f"{place}: no trajectory with a stage was found; look at [trajectory] in {mapping}")
@@ -134,11 +133,12 @@ def logs_of(
 def split(
     bag: Path, runs: list[list[Event]], begin_topic: str | None, mapping: str
 ) -> Iterator[tuple[Any, list[Event]]]:
-    """Split the runs of a recording's clock where a trajectory begins: name (None without one) and messages of each.
+    """Split the runs of a recording's clock into trajectories: name (None without one) and messages of each.
 
-    It begins with a message of a topic, or, without that, with a run; the mapping's file is for messages.
+    A trajectory begins with a message of `begin_topic` or, if that is None, with a run. `mapping` is its file, for
+    error messages.
     """
-    if begin_topic is None:  # what only lets something be seen, between two resets, is no trajectory
+    if begin_topic is None:  # a run with covariates alone, between two resets, is not a trajectory
         yield from ((None, events) for events in list(filter(_deeds, runs)) or runs[:1])
         return
     begins = [[i for i, event in enumerate(events) if event.key == "trajectory"] for events in runs]
@@ -154,12 +154,12 @@ def split(
 
 
 def _deeds(events: list[Event]) -> list[Event]:
-    """Messages of what was done, and how it ended."""
+    """Messages of actions, rewards and endings."""
     return [event for event in events if event.key in ("action", "reward", "ending")]
 
 
 def is_seen(bag: Path, trajectory: "Trajectory") -> bool:
-    """Whether a trajectory has a stage of which all was seen; if not, a warning says why it is left out."""
+    """Whether a trajectory has a stage with all its covariates; if not, warn that it is left out."""
     topics = trajectory.missing
     if not topics and trajectory.end_s != 0:
         return True
@@ -171,7 +171,7 @@ def is_seen(bag: Path, trajectory: "Trajectory") -> bool:
 def _objects(
     bag: Path, trajectories: "list[Trajectory]", mapping: BagMapping, see: See | None, keep: Keep | None
 ) -> Iterator[pd.DataFrame]:
-    """Hand the cloud of each stage to `see` and `keep`; only those that belong to a stage are read."""
+    """Pass the cloud of each stage to `see` and `keep`; only clouds of stages are read."""
     assert mapping.cloud is not None
     stages_of: dict[int, list[tuple[Trajectory, int]]] = {}
     for trajectory in trajectories:
@@ -192,39 +192,39 @@ def _objects(
 
 @dataclass
 class Trajectory:
-    """A trajectory that a bag or a table of events tells of."""
+    """A trajectory built from the events of a bag or a table."""
 
     name: Any
     needed: Mapping[str, str]
-    """What must have been seen before an action, and where it comes from: covariates, and "cloud"."""
+    """Inputs required before an action, covariates and "cloud", with their sources."""
     finished: Collection[Any]
     end_s: float = 0.0
-    """When it ended, or its last message came [s]."""
+    """Time of its ending or of its last message [s]."""
     ending: str | None = None
     cause: str | None = CRASH
-    """As in `trajectories` of `Logs`; at first the cause of one that has no ending."""
+    """As in `trajectories` of `Logs`; at first the cause for a trajectory without an ending."""
     stages: list[dict[str, Any]] = field(default_factory=list)
-    """One entry a stage: the columns that were recorded."""
+    """One entry per stage: its recorded columns."""
     clouds: list[int | None] = field(default_factory=list)
-    """Number of the cloud of each stage, None where none had come."""
+    """Number of the cloud of each stage; None if none had been received."""
     place: str = ""
-    """Where the last event stands, for messages."""
+    """Place of the last event, for messages."""
     remedy: str = "map [trajectory], the message that begins a trajectory, if there are several"
-    """Of what comes after an ending, for messages."""
+    """Remedy for events after an ending, for messages."""
 
     @property
     def missing(self) -> list[str]:
-        """What had not been seen yet in its first stage: topics of covariates and clouds."""
+        """Sources of covariates and clouds not yet received in its first stage."""
         is_there = {**dict.fromkeys(self.stages[0], True), "cloud": self.clouds[0] is not None}
         return [topic for name, topic in self.needed.items() if not is_there.get(name)]
 
     def follow(self, events: list[Event]) -> None:
-        """Follow it from its first message, where its clock is 0, to its last.
+        """Process its messages from the first, where its clock is 0, to the last.
 
         Raises
         ------
         LogError
-            The messages are in no order that makes stages; the trajectory, the stage and the remedy are named.
+            The order of the messages does not form stages; the error names the trajectory, the stage and the remedy.
         """
         stage: dict[str, Any] = {}
         seen: dict[str, Any] = {}

@@ -1,7 +1,7 @@
-"""Endings that are flags of the row that acts, such as ``terminated`` and ``truncated`` of Gymnasium.
+"""Endings given as flags in the row of the action, such as ``terminated`` and ``truncated`` of Gymnasium.
 
-The flags of a row become one text: "finished", the cause of a cut, or none. Where both are true, the trajectory
-finished. A true flag in an earlier row than the last is refused as any ending is that comes too early.
+The flags of a row become one text: "finished", the cause of a cut, or empty. If both are true, the trajectory
+finished. A true flag before the last row is refused, like any ending that comes too early.
 """
 
 from dataclasses import replace
@@ -16,13 +16,13 @@ _TRUE, _FALSE = ("true", "1", "1.0", "yes"), ("false", "0", "0.0", "no", "")
 
 
 def are_flags(texts: list[str]) -> bool:
-    """Whether cells are true and false, or empty, and one says that it is false."""
+    """Whether all cells are true, false or empty, and at least one is false."""
     found = {text.lower() for text in texts}
     return found <= {*_TRUE, *_FALSE} and bool(found & {*_FALSE} - {""})
 
 
 def with_ending(cells: Cells, mapping: EventMapping, file: str) -> tuple[Cells, EventMapping]:
-    """Put the flags of an ending into one column of text, which the mapping names in their place.
+    """Merge the flags of an ending into one text column, to which the mapping then refers.
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""Logs from any table of events (one row an event) or of stages (one row a stage), by a mapping file.
+"""Logs from any table of events (one row per event) or of stages (one row per stage), by a mapping file.
 
-A mapping has the tables of a bag's (`halfseen.logs.formats.bags`), and rows become stages as messages do: ``field`` is
-a column, and ``topic`` the text in the column of events that a row has. Without a column of events each row is a stage,
-and an empty cell says nothing. Where trajectories have a column, each of their rows moves their clock, mapped or not.
-A trajectory without an ending was cut: "log ended".
+A mapping has the same tables as for bags (`halfseen.logs.formats.bags`), and rows become stages as messages do:
+``field`` is a column, and ``topic`` a row's text in the column of events. Without a column of events each row is a
+stage, and an empty cell carries no value. If trajectories have a column, each of their rows advances their clock,
+mapped or not. A trajectory without an ending was cut: "log ended".
 """
 
 from collections import Counter
@@ -30,9 +30,9 @@ from halfseen.logs.missing import Missing
 from halfseen.shapes import Int
 
 LOG_ENDED = "log ended"
-"""Cause of a trajectory that has no ending."""
+"""Cause of the cut of a trajectory without an ending."""
 FEWEST_ON_ONE_CLOCK = 5
-"""Trajectories of several stages by which it shows that a clock runs on."""
+"""Number of trajectories with several stages that show that a clock runs on across trajectories."""
 
 
 def read_event_table(
@@ -47,21 +47,22 @@ def read_event_table(
     Parameters
     ----------
     source
-        A ``.csv``, ``.tsv``, ``.txt`` or ``.parquet`` file, several with the same columns, such as of days, or an Arrow
-        table.
+        A ``.csv``, ``.tsv``, ``.txt`` or ``.parquet`` file, several with the same columns, such as one per day, or an
+        Arrow table.
     mapping
-        Which column carries what: a file.
+        File that maps columns.
     place
-        What an Arrow table is called, for messages.
+        Name of an Arrow table, for messages.
     missing
-        What stands for covariates that are null, as `Logs` takes it.
+        What replaces null in covariates, as in `Logs`.
 
     Raises
     ------
     ArgumentError
-        The mapping does not fit the table; its file and key are named.
+        The mapping does not fit the table; the message names its file and key.
     LogError
-        A file is missing or broken, a cell cannot be read (its line and column are named), or rows make no stages.
+        A file is missing or broken, a cell cannot be read (the message names its line and column), or rows do not form
+        stages.
     """
     wanted, file = read_event_mapping(mapping), str(mapping)
     cells = cells_of(place, source) if isinstance(source, pa.Table) else _read_files(source, wanted)
@@ -86,7 +87,7 @@ def read_event_table(
 
 
 def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> Cells:
-    """Read one file, or several below one another."""
+    """Read one file, or several and concatenate their rows."""
     if isinstance(source, str | Path):
         return read_cells(Path(source), mapping.table)
     tables = [read_cells(file, mapping.table) for file in source]
@@ -101,13 +102,13 @@ def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> C
 
 
 def _origin(mapping: EventMapping, key: str) -> str:
-    """Where a value comes from, for messages: its events, or its column."""
+    """Source of a value for messages: its events, or its column."""
     topics = mapping.entries[key].topics
     return " or ".join(map(shown, topics)) if topics else f"column {mapping.column(key)!r}"
 
 
 def _remedy_after_ending(cells: Cells, mapping: EventMapping) -> str:
-    """What mends rows that come after an ending."""
+    """Remedy for rows that come after an ending."""
     column = mapping.column("ending")
     if not mapping.ending.topics and are_flags(cells.columns[column]):
         return f'column {column!r} is true or false, so say finished = {{field = "{column}"}} in [ending]'
@@ -118,7 +119,7 @@ def _remedy_after_ending(cells: Cells, mapping: EventMapping) -> str:
 
 
 def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
-    """Refuse a column that is not there, and an event that no row has, but of endings, which may be missing."""
+    """Refuse missing columns and events that no row has, except those of endings, which may be missing."""
     clock = [("clock.field", name) for name in mapping.clock.fields] + [
         ("clock.begin", name) for name in mapping.clock.begins
     ]
@@ -136,7 +137,7 @@ def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
 
 
 def _without_repeats(cells: Cells) -> Cells:
-    """Leave out events that are the row before them once more, time and all, as programs that send twice write them."""
+    """Drop events that repeat the row before, time included, as written by programs that send twice."""
     whole = list(zip(*cells.columns.values(), strict=True))
     kept = [row for row, texts in enumerate(whole) if row == 0 or texts != whole[row - 1]]
     if len(kept) == len(whole):
@@ -161,7 +162,7 @@ def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tu
         events = [] if begins is None or has_begins else [Event(int(begins[rows[0]]), "begin", None)]
         for row, time in zip(rows, times.tolist(), strict=True):
             place = f"{cells.place(row)}: "
-            # An empty cell tells only in the last row that nothing ended a trajectory.
+            # An empty ending counts only in the last row: nothing ended the trajectory.
             is_blank = not mapping.ending.topics and not ending_texts[row] and row != rows[-1]
             here = [pair for pair in values_of[row] if not (is_blank and pair[0] == "ending")]
             events += [Event(time, key, value, place) for key, value in here]
@@ -181,7 +182,7 @@ def _columns_of_numbers(mapping: EventMapping) -> list[str]:
 
 
 def _times(cells: Cells, mapping: EventMapping, marks: Marks, file: str) -> tuple[Stamps, Stamps | None]:
-    """Times of the rows, and of the beginning of what each row tells, where that is known [ns]."""
+    """Times of the rows and, if known, of the beginnings of their stages [ns]."""
     clock = mapping.clock
     try:
         stamps = table_values.stamps_ns(cells, clock.fields, clock, marks)
@@ -196,7 +197,7 @@ def _times(cells: Cells, mapping: EventMapping, marks: Marks, file: str) -> tupl
 
 
 def _values(cells: Cells, mapping: EventMapping, marks: Marks) -> list[list[tuple[str, Any]]]:
-    """What each row tells: keys of the mapping and values, in the order in which they count."""
+    """Keys of the mapping and values in each row, in the order in which they apply."""
     values_of: list[list[tuple[str, Any]]] = [[] for _ in cells.rows]
     for key, entry in mapping.entries.items():
         if key == "trajectory" and not mapping.has_begins:
@@ -222,7 +223,7 @@ def _rows_that_tell(cells: Cells, mapping: EventMapping, key: str) -> list[int]:
 
 
 def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int], marks: Marks) -> list[Any]:
-    """Read the cells of one column: numbers, or names, which are whole numbers if all are; a covariate may be null."""
+    """Read the cells of one column: numbers, or names, as whole numbers if all are; a covariate may be null."""
     texts, known, is_covariate = cells.columns[column], entry.values, "." in key
     first = next((known.get(texts[row], texts[row]) for row in rows if texts[row]), "")
     has_text = any(
@@ -253,7 +254,7 @@ def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int]
 def _groups(
     cells: Cells, mapping: EventMapping, values_of: list[list[tuple[str, Any]]], stamps: Stamps
 ) -> dict[Any, list[int]]:
-    """Rows by the name of their trajectory; of a table of one, or of such as events begin, all rows."""
+    """Rows by the name of their trajectory; all rows if there is one trajectory or if events begin trajectories."""
     steps = np.diff(stamps)
     is_newest_first = mapping.clock.since is None and bool((steps <= 0).all() and (steps < 0).any())
     order = range(len(stamps))[:: -1 if is_newest_first else 1]
@@ -269,7 +270,7 @@ def _groups(
 
 
 def _in_order(rows: list[int], stamps: Stamps, mapping: EventMapping) -> tuple[list[int], Int[np.ndarray, " some"]]:
-    """Put rows in the order of their clock, equal times as they stand; with these times [ns]."""
+    """Sort rows by their clock, stable for equal times; with these times [ns]."""
     since, times = mapping.clock.since, stamps[rows]
     if since == "stage":
         return rows, np.cumsum(times)
@@ -288,7 +289,7 @@ def _warn_of_reordered(cells: Cells, groups: Iterable[list[int]], stamps: Stamps
 
 
 def _late_covariates(events: list[Event]) -> Iterator[str]:
-    """Keys of covariates that stand at the time of an action, but after it."""
+    """Keys of covariates with the time of an action that come after it in the file."""
     begun_ns: int | None = None
     for event in events:
         if event.key in ("action", "reward", "ending"):
@@ -308,7 +309,7 @@ def _warn_of_late(cells: Cells, mapping: EventMapping, late: Counter[str]) -> No
 
 
 def _warn_of_running_clock(cells: Cells, clock: Clock, found: list[Trajectory]) -> None:
-    """Warn of one clock for all trajectories, where times are to count since each began."""
+    """Warn about one clock for all trajectories if times should count from the beginning of each."""
     spans = sorted((each.end_s, each.stages[0]["elapsed_s"]) for each in found if len(each.stages) > 1)
     if len(spans) >= FEWEST_ON_ONE_CLOCK and all(end_s < first_s for (end_s, _), (_, first_s) in pairwise(spans)):
         begin = next(filter(BEGIN_LIKE.search, cells.columns), "COLUMN")

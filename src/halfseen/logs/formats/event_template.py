@@ -1,4 +1,4 @@
-"""A mapping made from a table itself, to start from: what names and cells look like, each guess marked as one."""
+"""A draft mapping guessed from the names and cells of a table, with each guess marked."""
 
 import json
 import re
@@ -39,8 +39,8 @@ _LIKE = {
     "ending": r"ende?$|ending|ergebnis|outcome|result|abbruch|schluss|stop|cause|grund|ursache|fault|fehler|stör|status"
     r"|^fine?$|résult|risult|causa|motif|arrêt|terminat|truncat",
 }
-"""What names of columns look like that carry something, in the order in which columns are given away: as engineers
-write them in German, English, French, Spanish or Italian."""
+"""Patterns of column names for each key, in the order in which columns are assigned, as engineers write them in
+German, English, French, Spanish or Italian."""
 _EVENTS_LIKE = {
     "trajectory": r"^(start|begin|anfang|début|inicio|inizio)",
     "ending": r"^end|^fine?$|stop|finish|fertig|abbruch|not-?halt|arrêt|parada|arresto",
@@ -52,13 +52,13 @@ _FLAGS_LIKE = {
     "ending.finished": re.compile(r"terminat|is_terminal|(^|_)done$", re.IGNORECASE),
     "ending.cut": re.compile(r"truncat|time_?out|time_?limit|^is_last$", re.IGNORECASE),
 }
-"""Likewise of columns of true and false, in the row that acts."""
+"""Patterns of columns with ending flags in the row of the action."""
 _END_TIME_LIKE = re.compile(r"(^|[^a-z])(end(e|ed)?|bis|until|fin(e|ished)?|done|stop(ped)?)([^a-z]|$)", re.IGNORECASE)
-"""Likewise of times at which a stage ended."""
+"""Pattern of columns with the end time of a stage."""
 _KNOWN_LATER = re.compile(f"{_LIKE['ending']}|{_END_TIME_LIKE.pattern}|^is_(first|last)$", re.IGNORECASE)
-"""Likewise of what is no covariate, as it is known only after the action."""
+"""Pattern of columns that are no covariates because they are known only after the action."""
 _FINISHED_LIKE = re.compile(r"fertig|finish|done|complet|success|^ok$|^ende?$|termin|réussi", re.IGNORECASE)
-"""Likewise of events, and of endings that are no cut."""
+"""Pattern of events and endings that are no cut."""
 _ISO_8601 = "ISO8601"
 _DAYS = ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y", "%d.%m.%y", "%d/%m/%y", "%m/%d/%y")
 _TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
@@ -66,7 +66,7 @@ _ROWS_LOOKED_AT = 1000
 
 
 def mapping_of(file: str | Path) -> str:
-    """Write a mapping for a table, to be checked and completed by who knows it: every guess is marked as one.
+    """Draft a mapping for a table, to be checked and completed by its owner; every guess is marked.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def mapping_of(file: str | Path) -> str:
 
 
 def _read(file: Path) -> Cells:
-    """Read a table whose heading may stand below other lines, and find its mark of thousands."""
+    """Read a table whose heading may be below other lines, and find its thousands separator."""
     try:
         cells = read_cells(file, Layout())
     except LogError:
@@ -98,7 +98,7 @@ def _read(file: Path) -> Cells:
 
 
 def _guessed(cells: Cells) -> dict[str, str]:
-    """The column of each key, as far as one looks like it."""
+    """The column of each key for which one matches."""
     found = _flags(cells) | _span(cells)
     known = {*found} | ({"ending"} if "ending.finished" in found else set())
     known |= {"topic"} if "clock.begin" in found else set()
@@ -125,14 +125,14 @@ def _guessed(cells: Cells) -> dict[str, str]:
 
 
 def _flags(cells: Cells) -> dict[str, str]:
-    """The columns of true and false that tell of an ending; none without one that tells of its own end."""
+    """The columns of ending flags; none unless there is a flag for finished."""
     flags = [name for name, texts in cells.columns.items() if are_flags(texts)]
     found = {key: next(filter(like.search, flags), None) for key, like in _FLAGS_LIKE.items()}
     return {} if found["ending.finished"] is None else {key: name for key, name in found.items() if name is not None}
 
 
 def _span(cells: Cells) -> dict[str, str]:
-    """The columns of the times at which a stage began and ended; none where one of the two is missing."""
+    """The columns with begin and end times of stages; none if one of the two is missing."""
     times = [name for name, texts in cells.columns.items() if _are_times(texts) and not are_flags(texts)]
     begin = next(filter(BEGIN_LIKE.search, times), None)
     end = next((name for name in times if name != begin and _END_TIME_LIKE.search(name)), None)
@@ -144,7 +144,7 @@ def _are_times(texts: Sequence[str]) -> bool:
 
 
 def _other_times(cells: Cells, found: dict[str, str]) -> dict[str, str]:
-    """A column of times that no name tells; of one row a stage, that of the end where the one found is a beginning."""
+    """A column of times not found by its name; with one row per stage, also the end if the one found is a beginning."""
     times = (name for name in cells.columns if name not in found.values() and _date_formats(cells.columns[name]))
     first = found.get("clock.field") or next(times, None)
     is_begin = first is not None and BEGIN_LIKE.search(first) is not None
@@ -154,7 +154,7 @@ def _other_times(cells: Cells, found: dict[str, str]) -> dict[str, str]:
 
 
 def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, list[str]]) -> Iterator[str]:
-    """Lines of a mapping."""
+    """Lines of the mapping."""
     yield f"# What the columns of {file} carry, for: halfseen convert {shlex.quote(file)} --mapping THIS --out LOGS"
     yield "# Each guess is marked: check it, mend it, complete what is missing, and leave out what is not recorded."
     topics = list(dict.fromkeys(cells.columns[found["topic"]])) if "topic" in found else []
@@ -190,7 +190,7 @@ def _decimal_line(cells: Cells) -> str:
 
 
 def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: dict[str, list[str]]) -> Iterator[str]:
-    """How times are written."""
+    """Lines of the clock."""
     if "clock.field" not in found:
         yield f'# field = "COLUMN"  # no column looks like times; there are {_names(cells)}'
         return
@@ -224,13 +224,13 @@ def _begin_line(cells: Cells, begin: str, parts: dict[str, list[str]]) -> str:
 
 
 def _guessed_time(cells: Cells, name: str, parts: dict[str, list[str]]) -> str:
-    """The columns of a time."""
+    """The guessed columns of a time."""
     columns = json.dumps(parts.get(name, name), ensure_ascii=False)
     return _guess(cells, name).replace(_quoted(name), columns, 1)
 
 
 def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]) -> Iterator[str]:
-    """A table of the mapping."""
+    """Lines of one table of the mapping."""
     rows = _rows(cells, found, topic)
     column = _filled(cells, found, key, rows) if topic else found.get(key)
     if column is None and not topic:
@@ -253,7 +253,7 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
 
 
 def _flag_lines(cells: Cells, found: dict[str, str]) -> Iterator[str]:
-    """An ending of columns of true and false."""
+    """Lines of an ending given by flags."""
     yield "[ending]"
     for key in _FLAGS_LIKE:
         if key in found:
@@ -262,7 +262,7 @@ def _flag_lines(cells: Cells, found: dict[str, str]) -> Iterator[str]:
 
 
 def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> Iterator[str]:
-    """What is left, as what was known before the action."""
+    """Lines of the remaining columns as covariates."""
     free = [name for name in cells.columns if name not in found.values()]
     for name in [] if "topic" in found else free:
         lines = f"[covariates.{_key(name)}]", f"field = {_guess(cells, name)}"
@@ -280,12 +280,12 @@ def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> 
 
 
 def _rows(cells: Cells, found: dict[str, str], topic: list[str]) -> list[int]:
-    """Rows of some events, or all."""
+    """Rows of the given events, or all rows."""
     return [row for row in range(len(cells.rows)) if not topic or cells.columns[found["topic"]][row] in topic]
 
 
 def _filled(cells: Cells, found: dict[str, str], key: str, rows: list[int]) -> str | None:
-    """The column in which some events have something: the one that looks like it, or else the first."""
+    """A column that is filled in all given rows: the one found for the key, or else the first."""
     others = {found.get(other) for other in ("topic", "clock.field", "trajectory") if other != key}
     ways = [name for name in cells.columns if name not in others and all(cells.columns[name][row] for row in rows)]
     numeric = [name for name in ways if all(is_numeric(cells.columns[name][row]) for row in rows)]
@@ -313,7 +313,7 @@ def _quoted(text: str) -> str:
 
 
 def _date_formats(texts: Sequence[str]) -> list[str]:
-    """The formats of dates that all of some text may be in; none if it is no dates."""
+    """The date formats that fit all of the first texts; none if they are not dates."""
     some = pd.Series(list(dict.fromkeys(texts))[:_ROWS_LOOKED_AT], dtype=object)
     if some.map(lambda text: ISO.fullmatch(text) is not None).all():
         return [_ISO_8601]

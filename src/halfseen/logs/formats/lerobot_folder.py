@@ -1,19 +1,19 @@
-"""LeRobot datasets (v3): a folder of Parquet files with what they mean beside them.
+"""LeRobot datasets (v3): a folder of Parquet files with metadata.
 
 ::
 
     FOLDER/
-      meta/info.json                          features, frames a second (fps), how many episodes and frames there are
-      meta/tasks.parquet                      task_index → what the robot was told to do
-      meta/episodes/chunk-*/file-*.parquet    how many frames each episode has
-      data/chunk-*/file-*.parquet             one row a frame
+      meta/info.json                          features, frames per second (fps), numbers of episodes and frames
+      meta/tasks.parquet                      task_index → instruction to the robot
+      meta/episodes/chunk-*/file-*.parquet    number of frames of each episode
+      data/chunk-*/file-*.parquet             one row per frame
       videos/…                                not read
 
-A frame is a step. What was seen are the features ``observation…`` and the task; images and videos are passed over, and
-so is what came of a step (``next…``) or was commanded in it.
+A frame is a step. Covariates are the features ``observation…`` and the task; images and videos are skipped, and so are
+outcomes of a step (``next…``) and commands in it.
 
-LeRobot's ``next.done`` is true where an episode terminated or was truncated. An episode reached its own end where its
-last frame is ``next.terminated`` or ``next.success``, or ``next.done`` and not ``next.truncated``.
+LeRobot's ``next.done`` is true where an episode terminated or was truncated. An episode reached its own end if its
+last frame has ``next.terminated`` or ``next.success``, or ``next.done`` without ``next.truncated``.
 """
 
 from pathlib import Path
@@ -49,24 +49,24 @@ def read_lerobot(folder: str | Path, rules: StepRules | None = None) -> Logs:
     Parameters
     ----------
     folder
-        Holds ``meta`` and ``data``.
+        Folder with ``meta`` and ``data``.
     rules
-        Which features hold the action (default: ``action``), the reward (``next.reward``), whether the episode
-        reached its own end (by the flags above), and the time of each frame (the frames, counted, by ``fps``); and
-        what becomes of an episode that was truncated, or of which nothing says how it ended. One that has
-        ``next.truncated`` and ends without any flag broke off: it was cut (cause ``unknown``).
+        Features of the action (default: ``action``), the reward (``next.reward``), the episode's own end (the flags
+        above), and the time of each frame (frame number by ``fps``); and the handling of an episode that was truncated
+        or has no recorded ending. An episode that has ``next.truncated`` and ends without any flag broke off: it was
+        cut (cause ``unknown``).
 
     Returns
     -------
     Logs
-        Each episode a trajectory, each frame a stage. A cut falls into the last frame, whose reward is passed over.
+        One trajectory per episode, one stage per frame. A cut falls into the last frame, whose reward is ignored.
 
     Raises
     ------
     ArgumentError
-        A feature is not there, or the actions are not finitely many.
+        A feature is missing, or the actions are not a finite set.
     LogError
-        A file is missing or broken, files of two datasets are mixed, or the log breaks an invariant.
+        A file is missing or broken, files of two datasets are mixed, or the log violates an invariant.
     """
     folder, rules = Path(folder), StepRules() if rules is None else rules
     place, data, info = str(folder), str(folder / "data"), _info(folder / INFO)
@@ -93,11 +93,11 @@ def read_lerobot(folder: str | Path, rules: StepRules | None = None) -> Logs:
 
 
 class Info(msgspec.Struct):
-    """What is noted of a dataset; more may be."""
+    """Metadata of a dataset; further keys are ignored."""
 
     codebase_version: str
     fps: Annotated[float, msgspec.Meta(gt=0.0)]
-    """Frames a second."""
+    """Frames per second."""
     features: dict[str, dict[str, Any]]
     total_frames: int | None = None
 
@@ -114,7 +114,7 @@ def _info(file: Path) -> Info:
 
 
 def _columns(folder: Path, features: dict[str, Any], named: dict[str, str]) -> dict[str, np.ndarray]:
-    """Read what is wanted of the data, and tell what is passed over."""
+    """Read the features used, and report those skipped."""
     files = _files(folder, "data")
     pictures = [name for name, feature in features.items() if feature.get("dtype") in _PICTURES]
     with whole_table(files[0]):
@@ -136,7 +136,7 @@ def _columns(folder: Path, features: dict[str, Any], named: dict[str, str]) -> d
 
 
 def _whole(place: Path, table: pa.Table, name: str) -> list[int]:
-    """Values of a column of whole numbers; anything else is refused."""
+    """Values of an integer column; other columns are refused."""
     kind = table.schema.field(name).type
     if not pa.types.is_integer(kind) or table[name].null_count:
         raise LogError(f"{place}: {name} holds {kind}, or null, and no whole numbers; copy the dataset again")
@@ -151,7 +151,7 @@ def _files(folder: Path, below: str) -> list[Path]:
 
 
 def _check_counts(folder: Path, info: Info, episode: np.ndarray, begins: np.ndarray) -> None:
-    """Refuse data of which some frames are missing, by what is noted of each episode."""
+    """Refuse data with missing frames, according to the metadata of each episode."""
     noted = read_tables(_files(folder, "meta/episodes"), (EPISODE, "length"))
     lengths = dict(zip(*(_whole(folder / "meta/episodes", noted, name) for name in (EPISODE, "length")), strict=True))
     found = dict(zip(episode[begins[:-1]].tolist(), np.diff(begins).tolist(), strict=True))
@@ -191,7 +191,7 @@ def _own_ends(
     rules: StepRules,
     last: Int[np.ndarray, " E"],
 ) -> Bool[np.ndarray, " N"] | None:
-    """Frames in which an episode reached its own end; None where nothing says so."""
+    """Frames in which an episode reached its own end; None if no feature says so."""
     if rules.done is not None:
         return flags[rules.done] & ~is_truncated if rules.done == DONE else flags[rules.done]
     own = [flags[name] for name in (TERMINATED, SUCCESS) if name in flags]
@@ -227,7 +227,7 @@ def _ends(steps: StepColumns, fps: float, rules: StepRules, begins: Int[np.ndarr
 
 
 def _check_stamps(steps: StepColumns, fps: float, begins: Int[np.ndarray, " E1"]) -> None:
-    """Refuse to count frames where the time stamps tell otherwise."""
+    """Refuse frame counting if the time stamps contradict it."""
     stamps = steps.numbers(TIMESTAMP)
     first = np.repeat(begins[:-1], np.diff(begins))
     counted = (np.arange(len(stamps)) - first) / fps

@@ -1,4 +1,4 @@
-"""Mapping files (TOML): which topic of a bag, or which column of a table, carries what."""
+"""Mapping files (TOML), which assign topics of a bag or columns of a table to the parts of a log."""
 
 import re
 from collections.abc import Iterator
@@ -15,15 +15,15 @@ from halfseen.reading import read_text, reason_of, toml_of
 Of = TypeVar("Of")
 Given: Any = {"frozen": True, "forbid_unknown_fields": True}
 NUMBERS = ("probability", "reward")
-"""Keys of numbers; covariates may be such, too."""
+"""Keys with numeric values; covariates may be numeric, too."""
 _KEYS = ("cloud", "action", "object", "probability", "reward", "ending")
 MAPPING_TEMPLATE = Path(__file__).with_name("bag_mapping.toml").read_text(encoding="utf-8")
-"""A whole mapping file of a bag, with comments."""
+"""A complete mapping file for a bag, with comments."""
 _CLOCKS = ("log", "publish", "header")
 
 
 def mapping_in(file: str | Path, kind: type[Of], remedy: str) -> Of:
-    """Read a mapping file (TOML) as a record of a kind (`ArgumentError`); what makes one is the remedy."""
+    """Read a mapping file (TOML) as a record of type `kind` (`ArgumentError`); `remedy` says how to make one."""
     try:
         return msgspec.convert(toml_of(read_text(Path(file))), kind)
     except OSError as error:
@@ -35,7 +35,7 @@ def mapping_in(file: str | Path, kind: type[Of], remedy: str) -> Of:
 
 
 def _reworded(trouble: str) -> str:
-    """Begin with the key what msgspec ends with."""
+    """Put the key, which msgspec names last, first."""
     words, _, place = trouble.partition(" - at `$")
     key = re.sub(r"\[\.\.\.\]", "", place.strip("`."))
     name = re.search(r"Object (?:missing required|contains unknown) field `(\w+)`", words)
@@ -46,14 +46,14 @@ def _reworded(trouble: str) -> str:
 
 
 def _mapped(mapping: Any) -> dict[str, Any]:
-    """All that is mapped, by its table in the file, in the order in which it counts within a row."""
+    """All mapped entries by their table in the file, in the order in which they apply within a row."""
     named = {"trajectory": mapping.trajectory, **{f"covariates.{name}": of for name, of in mapping.covariates.items()}}
     named |= {key: getattr(mapping, key, None) for key in _KEYS}
     return {key: source for key, source in named.items() if source is not None}
 
 
 def _refuse(file: str | Path, mapping: Any, troubles: Iterator[tuple[str, str]]) -> None:
-    """Refuse a mapping that does not fit together, by key."""
+    """Refuse an inconsistent mapping, naming the key."""
     taken = [f"covariates.{name}" for name in mapping.covariates if name in (*STAGE_COLUMNS, "cloud")]
     trouble_of_name = "stages have such a column already; give the covariate another name"
     for key, trouble in chain(troubles, zip(taken, repeat(trouble_of_name))):
@@ -61,15 +61,15 @@ def _refuse(file: str | Path, mapping: Any, troubles: Iterator[tuple[str, str]])
 
 
 class Source(msgspec.Struct, **Given):
-    """Where a value comes from."""
+    """Source of a value."""
 
     topic: str = ""
     field: str | None = None
-    """Path into the message; None where the message itself is meant."""
+    """Path into the message; None for the message itself."""
 
 
 class EndingSource(Source, **Given):
-    """Where an ending comes from; values in `finished` are no cause of a cut."""
+    """Source of an ending; values in `finished` mean finished, all others are causes of a cut."""
 
     finished: Annotated[list[str | int | bool], msgspec.Meta(min_length=1)] = msgspec.field(
         default_factory=lambda: [FINISHED]
@@ -77,16 +77,16 @@ class EndingSource(Source, **Given):
 
 
 class BagMapping(msgspec.Struct, **Given):
-    """Which topic carries what; made by `read_mapping`.
+    """Mapping of the topics of a bag; made by `read_mapping`.
 
     Parameters
     ----------
     action, reward, ending
-        What every bag has.
+        Required sources.
     clock
         "log", "publish" or "header".
     trajectory, object, probability, cloud
-        What a bag may have.
+        Optional sources.
     covariates
         Source of each covariate of the stages.
     """
@@ -101,26 +101,26 @@ class BagMapping(msgspec.Struct, **Given):
     cloud: Source | None = None
     covariates: dict[str, Source] = {}
     file: str = msgspec.field(default="", name="file of the mapping")
-    """Where it was read, for messages."""
+    """File it was read from, for messages."""
 
     @property
     def sources(self) -> dict[str, Source]:
-        """All that is mapped, by its table in the file, such as ``covariates.occlusion``."""
+        """All sources by their table in the file, such as ``covariates.occlusion``."""
         return _mapped(self)
 
 
 def read_mapping(file: str | Path) -> BagMapping:
-    """Read a mapping file (TOML); `MAPPING_TEMPLATE` is one, and says what each table means.
+    """Read a mapping file (TOML); `MAPPING_TEMPLATE` is an example that explains each table.
 
     Raises
     ------
     ArgumentError
-        It is missing or no TOML, a table is missing, or something in it is unknown or of the wrong type; the file and
-        the key are named.
+        The file is missing or not TOML, a table is missing, or a key is unknown or has the wrong type; the message
+        names the file and the key.
 
     Examples
     --------
-    All that a mapping may hold; the first three tables are needed::
+    All tables of a mapping; the first three are needed::
 
         action = {topic = "/pick/action", field = "data"}
         reward = {topic = "/pick/reward", field = "data"}
@@ -141,7 +141,7 @@ def read_mapping(file: str | Path) -> BagMapping:
 
 
 def _troubles_of_bag(mapping: BagMapping) -> Iterator[tuple[str, str]]:
-    """What of the mapping of a bag does not fit together, by key."""
+    """Inconsistencies in the mapping of a bag, by key."""
     if mapping.clock not in _CLOCKS:
         yield "clock", f"{mapping.clock!r} is none of {', '.join(map(repr, _CLOCKS))}; choose one"
     for key, source in mapping.sources.items():
@@ -154,101 +154,101 @@ def _troubles_of_bag(mapping: BagMapping) -> Iterator[tuple[str, str]]:
 
 
 class Layout(msgspec.Struct, **Given):
-    """How a file of text holds a table; what is None is found in the file."""
+    """Layout of a table in a text file; None means to detect it."""
 
     separator: Annotated[str, msgspec.Meta(min_length=1, max_length=1)] | None = None
     decimal: Literal[",", "."] | None = None
     thousands: Literal[".", ",", "'", " "] | None = None
-    """Mark between groups of three digits: point, comma, apostrophe or space."""
+    """Thousands separator: point, comma, apostrophe or space."""
     encoding: Literal["utf-8", "utf-8-sig", "cp1252", "utf-16"] | None = None
     heading: Annotated[int, msgspec.Meta(ge=1)] = 1
     """Line that names the columns, from 1."""
     query: str | None = None
-    """Of a database: the SELECT whose rows are read."""
+    """For a database, the SELECT whose rows are read."""
 
 
 class Clock(msgspec.Struct, **Given):
-    """Where times stand, and how they are written."""
+    """Columns of times, and their notation."""
 
     field: str | Annotated[list[str], msgspec.Meta(min_length=1)]
-    """Column of the time of a row; or those of its date and of its time of day, which are read with a space between."""
+    """Column of a row's time; or the columns of its date and time of day, joined by a space."""
     format: str | None = None
-    """Of times that are not ISO 8601, as in Python: ``%d.%m.%Y %H:%M:%S``. Without a day they are times of day, and
-    the next day begins where they fall back past midnight."""
+    """Format of times that are not ISO 8601, as in Python: ``%d.%m.%Y %H:%M:%S``. Without a day they are times of day,
+    and the next day begins where they fall back past midnight."""
     zone: str | None = None
-    """Of dates without one, such as ``Europe/Berlin``."""
+    """Time zone of dates without one, such as ``Europe/Berlin``."""
     unit: Literal["s", "ms", "us", "ns", "min"] | None = None
     since: Literal["trajectory", "stage"] | None = None
-    """What numbers count from: the beginning of the trajectory, or of the stage; None for a clock of their own."""
+    """Origin of numeric times: the beginning of the trajectory or of the stage; None for a clock of their own."""
     begin: str | list[str] | None = None
-    """Of one row a stage: column of the time at which the stage began; or two, as of `field`."""
+    """With one row per stage, column of the time at which the stage began; or two columns, as in `field`."""
 
     @property
     def fields(self) -> list[str]:
-        """The columns of the time of a row."""
+        """The columns of a row's time."""
         return [self.field] if isinstance(self.field, str) else self.field
 
     @property
     def begins(self) -> list[str]:
-        """The columns of the time of a beginning."""
+        """The columns of a stage's begin time."""
         return [self.begin] if isinstance(self.begin, str) else self.begin or []
 
 
 class Entry(msgspec.Struct, **Given):
-    """Where a value stands."""
+    """Source of a value in a table."""
 
     field: str | None = None
     """Its column; by default that of the events."""
     topic: str | list[str] | None = None
-    """Which events carry it; None for any row in which the cell is not empty."""
+    """Events that carry it; None for any row with a non-empty cell."""
     values: dict[str, str | int | float] = {}
-    """What text stands for; other text stays what it is."""
+    """Replacements for texts; other text is kept."""
     type: Literal["number", "text"] | None = None
-    """Of a covariate, if it is not to be found."""
+    """Type of a covariate; None to detect it."""
 
     @property
     def topics(self) -> list[str]:
-        """The events that carry it."""
+        """The events that carry the value."""
         return [self.topic] if isinstance(self.topic, str) else list(self.topic or [])
 
 
 class Flag(msgspec.Struct, **Given):
-    """A column that is true where something holds."""
+    """A column of true and false."""
 
     field: str
 
 
 class Ending(Entry, **Given):
-    """Where an ending stands: as text, or as flags of the row that acts."""
+    """Source of an ending: text, or flags in the row of the action."""
 
     finished: list[str] | Flag = msgspec.field(default_factory=lambda: [FINISHED])
-    """Text that is no cause of a cut; or the flag of the end that a trajectory itself has."""
+    """Texts that mean finished, not a cause of a cut; or the flag of a trajectory's own end."""
     cut: Flag | None = None
-    """The flag of a cut, whose cause is the name of the column; where `finished` is a flag, too."""
+    """Flag of a cut, whose cause is the name of the column; only if `finished` is a flag, too."""
 
     @property
     def finishing(self) -> list[str]:
-        """Text that is no cause of a cut; none where flags tell."""
+        """Texts that mean finished; empty if flags are used."""
         return self.finished if isinstance(self.finished, list) else []
 
 
 class EventMapping(msgspec.Struct, **Given):
-    """Which column carries what; made by `read_event_mapping`.
+    """Mapping of the columns of a table; made by `read_event_mapping`.
 
     Parameters
     ----------
     clock
         Times of the rows.
     action, reward, ending
-        What every table has.
+        Required entries.
     topic
-        Column of events; None where each row is a stage.
+        Column of events; None if each row is a stage.
     trajectory
-        Column of its name, or the event that begins it; None where the table is one trajectory.
+        Column of its name, or the event that begins it; None if the table is one trajectory.
     object, probability, covariates
-        What a table may have.
+        Optional entries.
     table
-        How the file holds it.
+        Layout of the file.
     """
 
     clock: Clock
@@ -264,11 +264,11 @@ class EventMapping(msgspec.Struct, **Given):
 
     @property
     def entries(self) -> dict[str, Entry]:
-        """All that is mapped, in the order in which it counts within a row."""
+        """All mapped entries, in the order in which they apply within a row."""
         return _mapped(self)
 
     def column(self, key: str) -> str:
-        """The column of what is mapped."""
+        """The column of a mapped entry."""
         return str(self.entries[key].field or self.topic)
 
     @property
@@ -291,7 +291,7 @@ def read_event_mapping(file: str | Path) -> EventMapping:
 
 
 def is_event_mapping(file: str | Path) -> bool:
-    """Whether a file is the mapping of a table, and no other one: it says where the times stand."""
+    """Whether a file is the mapping of a table: only such a mapping has a [clock] table."""
     try:
         return isinstance(toml_of(read_text(Path(file))).get("clock"), dict)
     except (OSError, ValueError):
@@ -299,7 +299,7 @@ def is_event_mapping(file: str | Path) -> bool:
 
 
 def _troubles_of_table(mapping: EventMapping) -> Iterator[tuple[str, str]]:
-    """What of the mapping of a table does not fit together, by key."""
+    """Inconsistencies in the mapping of a table, by key."""
     clock, layout = mapping.clock, mapping.table
     if layout.thousands is not None and layout.thousands == layout.decimal:
         yield "table.thousands", "it is the mark of fractions, too; mend one of the two"

@@ -22,7 +22,7 @@ from halfseen.reading import TABLE, json_of, opened, reason_of
 
 TABLES = {"paths": "trajectories"}
 COLUMNS = {"path": "trajectory", "run_path": "run_trajectory"}
-"""What tables and columns are called now, by their former names."""
+"""Current names of tables and columns, by their former names."""
 
 _BROKEN = (OSError, ValueError, LookupError, TypeError, AttributeError, pa.ArrowException)
 
@@ -40,14 +40,14 @@ def read_older(folder: Place) -> Logs:
     Raises
     ------
     LogError
-        A file is missing or broken, or the tables break an invariant.
+        A file is missing or broken, or the tables violate an invariant.
     """
     with _as_of_today(folder) as translated:
         try:
             is_csv = (translated / "stages.csv").exists()
             return csv_folder.read_csv(translated) if is_csv else Logs(**read_folder(translated))
         except HalfseenError as error:
-            # What is wrong with the translation is wrong with the folder.
+            # An error in the translation is an error in the folder: name that.
             raise LogError(f"{folder}: {str(error).replace(f'{translated}/', '')}") from error
 
 
@@ -92,7 +92,7 @@ def _cells(file: Place, to: Path) -> None:
 
 
 def _journal(file: Place, to: Path) -> None:
-    """Chain the lines again; those that did not check do not check again."""
+    """Rechain the lines; those that failed the check before fail it again."""
     above: int | None = 0
     checksum: int | None = 0
     with file.open("rb") as source, to.open("wb") as target:

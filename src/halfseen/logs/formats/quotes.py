@@ -1,4 +1,4 @@
-"""Quotes of CSV that open a cell and were not meant to: readers take the rows below into that cell without a word."""
+"""Stray quotes in CSV that open a cell: readers silently absorb the following rows into that cell."""
 
 import re
 from collections.abc import Callable, Iterable, Iterator
@@ -7,7 +7,8 @@ from typing import NoReturn
 from halfseen.errors import LogError
 
 FEWEST_SEPARATORS = 2
-"""In a heading, from which on lines of one cell that hold as many look like rows; prose holds a comma a line."""
+"""Least number of separators in a heading for lines of one cell with as many to look like rows; a line of prose may
+have one comma."""
 
 
 def refuse(place: str, trouble: str) -> NoReturn:
@@ -24,22 +25,22 @@ def check_quotes(
     is_spaced: bool = False,
     on_rows: Callable[[str, str], object] = refuse,
 ) -> None:
-    """Refuse a quote that nothing closes, and tell of a quoted cell whose lines look like rows.
+    """Refuse an unclosed quote, and report a quoted cell whose lines look like rows.
 
     Parameters
     ----------
     file
-        Where the lines are from, for messages.
+        Source of the lines, for messages.
     lines
-        Of the table, from its heading on.
+        Lines of the table, from its heading on.
     separator
-        What separates cells.
+        Separator between cells.
     first
         Number of the first line in the file.
     is_spaced
-        Whether a quote may open a cell behind spaces.
+        Whether a quote may open a cell after spaces.
     on_rows
-        Is given the place and the trouble where lines of one cell look like rows.
+        Called with the place and the trouble if lines of one cell look like rows.
 
     Raises
     ------
@@ -61,14 +62,14 @@ def check_quotes(
 
 
 def _records(lines: Iterable[str], separator: str, first: int, is_spaced: bool) -> Iterator[tuple[int, list[str]]]:
-    """Give the number of the first line of each record, and its lines; none where the record is never closed."""
+    """The number of the first line of each record, and its lines; no lines if the record is never closed."""
     before = f"(?:^|(?<={re.escape(separator)}))" + (" *" if is_spaced else "")
     quoted = re.compile(before + '"[^"]*(?:""[^"]*)*("?)')
     record: list[str] = []
     begin = first
     for number, line in enumerate(lines, start=first):
         begin = begin if record else number
-        # Within a cell that is open, a line goes on as if a quote stood before it.
+        # Within an open cell, parse a line as if a quote came before it.
         is_open = _is_open(quoted, '"' + line if record else line)
         record.append(line)
         if not is_open:
@@ -79,6 +80,6 @@ def _records(lines: Iterable[str], separator: str, first: int, is_spaced: bool) 
 
 
 def _is_open(quoted: re.Pattern[str], line: str) -> bool:
-    """Whether the last quoted cell of a line goes on in the next."""
+    """Whether the last quoted cell of a line continues in the next line."""
     closings = quoted.findall(line) if '"' in line else []
     return bool(closings) and not closings[-1]

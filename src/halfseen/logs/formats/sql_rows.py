@@ -1,7 +1,7 @@
-"""Logs as rows of a database that SQLAlchemy reaches: one SELECT a table of the log.
+"""Logs as rows of a database that SQLAlchemy reaches: one SELECT per table of the log.
 
-The columns are those of the CSV form, and text whose every cell is a JSON list is read as lists. The database is only
-read: one SELECT a table, in a transaction that is said to be read-only where the database knows that, and taken back.
+The columns are those of the CSV format. Text columns in which every cell is a JSON list are read as lists. The database
+is only read: each SELECT runs in a transaction that is rolled back, and is read-only if the database supports that.
 """
 
 import re
@@ -27,7 +27,7 @@ from halfseen.reading import TABLE, UNPACKED, check_file, reason_of
 ROWS_AT_ONCE = 10_000
 BYTES_OF_VALUE = 8
 MOST_BYTES = UNPACKED
-"""Of the rows of one table."""
+"""Largest size of the rows of one table [B]."""
 _COMMENTS_AND_TEXT = re.compile(r"--[^\n]*|/\*.*?\*/|'(?:[^']|'')*'|\"(?:[^\"]|\"\")*\"", re.DOTALL)
 _SELECTS = re.compile(r"\(*\s*(select|with|values|table)\b", re.IGNORECASE)
 _SECRET = re.compile(r"(?i)((?:password|passwd|pwd|token|secret|key)[^=&;]*=)[^&;]*")
@@ -35,18 +35,17 @@ _OF_USER = re.compile(r"(?:(?<=://)|^)([^:/@]*):(?!//).*@", re.DOTALL)
 
 
 class Queries(msgspec.Struct, **Given):
-    """What is asked of a database.
+    """The queries for the tables of a log.
 
     Parameters
     ----------
     stages, trajectories, objects
-        A SELECT each; None where the log has no objects.
-
+        One SELECT each; None if the log has no objects.
 
     Raises
     ------
     ArgumentError
-        One is more than one statement, or none that only reads.
+        A query has more than one statement, or is not a SELECT.
     """
 
     stages: str
@@ -59,7 +58,7 @@ class Queries(msgspec.Struct, **Given):
 
     @property
     def by_table(self) -> dict[str, str]:
-        """The queries that there are."""
+        """The queries by the name of their table."""
         queries = {"stages": self.stages, "trajectories": self.trajectories, "objects": self.objects}
         return {name: query for name, query in queries.items() if query is not None}
 
@@ -70,7 +69,7 @@ def read_queries(file: str | Path) -> Queries:
     Raises
     ------
     ArgumentError
-        It is missing or no TOML, a key is missing or unknown, or a query is none.
+        The file is missing or not TOML, a key is missing or unknown, or a query is invalid.
     """
     return mapping_in(file, Queries, "give a SELECT for stages and trajectories, and objects if there are any")
 
@@ -81,19 +80,19 @@ def read_sql(url: str, queries: Queries, *, missing: Missing = None) -> Logs:
     Parameters
     ----------
     url
-        As SQLAlchemy takes it: ``sqlite:///cell.db``, ``duckdb:///cell.duckdb``,
+        Address for SQLAlchemy: ``sqlite:///cell.db``, ``duckdb:///cell.duckdb``,
         ``postgresql+psycopg://user:password@host/cell``. The password is never shown.
     queries
-        Which rows are the stages, the trajectories and the objects.
+        Queries for the stages, the trajectories and the objects.
     missing
-        What stands for covariates of the stages that are null, as `Logs` takes it.
+        What replaces null in covariates of the stages, as in `Logs`.
 
     Raises
     ------
     ArgumentError
-        SQLAlchemy or the driver is not installed, or the URL is none.
+        SQLAlchemy or the driver is not installed, or the URL is invalid.
     LogError
-        The database cannot be read, a query is refused by it, or the rows break an invariant.
+        The database cannot be read, it refuses a query, or the rows violate an invariant.
     """
     place = shown_url(url)
     with _connected(url, place) as connection:
@@ -103,7 +102,7 @@ def read_sql(url: str, queries: Queries, *, missing: Missing = None) -> Logs:
 
 
 def read_rows(url: str, query: str) -> pa.Table:
-    """Read the rows that one SELECT gives; the errors are those of `read_sql`."""
+    """Read the rows of one SELECT; the errors are those of `read_sql`."""
     place = shown_url(url)
     _refuse_other_than_select("query", query)
     with _connected(url, place) as connection:
@@ -117,7 +116,7 @@ def _refuse_other_than_select(name: str, query: str) -> None:
 
 
 def shown_url(url: str) -> str:
-    """Write a URL without what is secret in it."""
+    """A URL without its password."""
     head, question, options = _OF_USER.sub(r"\1:***@", url).partition("?")
     return head + question + _SECRET.sub(r"\1***", options)
 
@@ -141,7 +140,7 @@ def _connected(url: str, place: str) -> Iterator[Any]:
         ) from None
     except OSError as error:
         raise LogError(f"{place}: it cannot be read ({reason_of(error)}); give the file of a database") from error
-    except Exception:  # what it says may hold the password
+    except Exception:  # its text may contain the password
         raise ArgumentError(
             f"{place}: it is no address of a database; give DIALECT://USER:PASSWORD@HOST/NAME"
         ) from None
@@ -177,7 +176,7 @@ def _engine(sqlalchemy: Any, url: Any) -> Any:
 
 
 def _check_file_of(url: Any) -> Path:
-    """Give the file of a database that is one, where it can be read: to connect to none would make it."""
+    """The file of a file-based database, checked to be readable: connecting to a missing one would create it."""
     file = Path(url.database or "")
     if not url.database or str(file).startswith((":memory:", "file:")):
         raise ArgumentError(f"{shown_url(str(url))}: it names no file; give {url.get_backend_name()}:///FILE")
@@ -221,7 +220,7 @@ def _column(place: str, name: str, values: list[Any]) -> Any:
 
 
 def _value(value: Any) -> Any:
-    """What Python's types of databases are in a log: decimal numbers are numbers, and identifiers text."""
+    """Convert a database value for a log: decimals to numbers, identifiers to text."""
     if isinstance(value, Decimal):
         return int(value) if value == value.to_integral_value() and value.as_tuple().exponent == 0 else float(value)
     if isinstance(value, memoryview):
@@ -230,7 +229,7 @@ def _value(value: Any) -> Any:
 
 
 def _reason(error: Exception, url: Any = None) -> str:
-    """What a driver says, in one line and without the password."""
+    """The message of a driver, in one line and without the password."""
     reason = reason_of(getattr(error, "orig", None) or error)
     secret = None if url is None else url.password
     return reason.replace(str(secret), "***") if secret else reason

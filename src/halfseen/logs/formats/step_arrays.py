@@ -1,12 +1,12 @@
-"""Arrays of steps: in an HDF5 file like those of D4RL, and in Minari's datasets that others wrote.
+"""Arrays of steps: in an HDF5 file like those of D4RL, and in Minari datasets written by other programs.
 
-In HDF5 all episodes lie one below the other, one row a step. ``observations``, ``actions``, ``rewards`` and
-``terminals`` are needed; ``timeouts`` says where an episode was truncated, and ``next_observations`` what was observed
-after each step. ``observations`` may be a group of arrays. What is in ``infos`` and elsewhere is read where it is named
-as the action, the reward, the end or the clock.
+In HDF5 all episodes are concatenated, one row per step. ``observations``, ``actions``, ``rewards`` and ``terminals``
+are required; ``timeouts`` marks truncated episodes, and ``next_observations`` holds the observation after each step.
+``observations`` may be a group of arrays. Arrays in ``infos`` and elsewhere are read only if named as the action, the
+reward, the end or the clock.
 
-Minari keeps one observation more than there are steps. An episode that terminated is a trajectory that finished, one
-that was truncated a trajectory that was cut.
+Minari has one more observation than steps. A terminated episode is a finished trajectory, a truncated one is a cut
+trajectory.
 """
 
 from collections.abc import Iterator, Mapping
@@ -29,7 +29,7 @@ from halfseen.shapes import Float, Shaped
 SEEN, NEXT_SEEN, TIMEOUTS = "observations", "next_observations", "timeouts"
 END_OF_DATA = "end-of-data"
 MOST_GROUPS = 1000
-"""Side by side, as groups may hold one another."""
+"""Largest number of groups at one level, since groups may contain one another."""
 
 
 def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
@@ -40,22 +40,22 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
     file
         The file.
     rules
-        Which arrays hold the action (default: ``actions``), the reward (``rewards``), whether the episode reached its
-        own end (``terminals``) and the clock at the end of each step (by default every step counts as 1 s, with a
-        warning); and whether a timeout is a cut or the horizon.
+        Arrays of the action (default: ``actions``), the reward (``rewards``), the episode's own end (``terminals``)
+        and the clock at the end of each step (by default every step counts as 1 s, with a warning); and whether a
+        timeout is a cut or the horizon.
 
     Returns
     -------
     Logs
-        Each episode a trajectory, each row a stage. A cut falls into the stage of the last ``next_observations``, or,
-        without these, into the last row. What the end of the file breaks off is cut by ``end-of-data``.
+        One trajectory per episode, one stage per row. A cut falls into the stage of the last ``next_observations`` or,
+        without these, into the last row. An episode broken off by the end of the file is cut by ``end-of-data``.
 
     Raises
     ------
     ArgumentError
-        h5py is not installed, an array is not there, or the actions are not finitely many.
+        h5py is not installed, an array is missing, or the actions are not a finite set.
     LogError
-        The file is missing or broken, its arrays differ in length, or the log breaks an invariant.
+        The file is missing or broken, its arrays differ in length, or the log violates an invariant.
     """
     file, rules = Path(file), StepRules() if rules is None else rules
     place = str(file)
@@ -72,7 +72,7 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
     ends = np.array(sorted({*(np.flatnonzero(is_terminal | is_timeout) + 1), len(is_terminal)} - {0}), dtype=np.int64)
     of_steps = begins = np.append(0, ends).astype(np.int64)
     rows = np.arange(len(is_terminal))
-    if following is not None:  # below each episode what was observed after its last step
+    if following is not None:  # append to each episode the observation after its last step
         rows, begins = np.insert(rows, ends, len(rows) + ends - 1), begins + np.arange(len(begins))
         observed = {name: np.append(values, following[name])[rows] for name, values in observed.items()}
     step_s = rules.step_in(place)
@@ -95,7 +95,7 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
 
 
 def _arrays(file: Path, names: dict[str, str]) -> dict[str, np.ndarray]:
-    """Read the arrays that are wanted, and tell which are left out."""
+    """Read the arrays used, and report those left out."""
     with _opened(file) as (root, num_bytes):
         there = _named(file, root)
         require(str(file), there, names)
@@ -129,7 +129,7 @@ def _opened(file: Path) -> Iterator[tuple[Any, int]]:
 
 
 def _named(file: Path, root: Any) -> dict[str, Any]:
-    """The arrays of a file by their paths; what leads out of it is refused."""
+    """The arrays of a file by their paths; links out of the file are refused."""
     h5py = extra("h5py", "hdf5")
     found: dict[str, Any] = {}
     level = [("", root)]
@@ -170,7 +170,7 @@ def _is_below(name: str, group: str) -> bool:
 
 
 def _following(steps: StepColumns, observed: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
-    """What was observed after each step, by the names of what was observed before it; None where it is not there."""
+    """Observations after each step, by the names of those before it; None if missing."""
     found = {
         f"{SEEN}{name.removeprefix(NEXT_SEEN)}": values
         for name, values in steps.columns.items()
@@ -185,11 +185,11 @@ def _following(steps: StepColumns, observed: Mapping[str, Any]) -> dict[str, np.
     return following
 
 
-# Minari's.
+# Minari.
 
 
 def read_episodes(dataset: Any, name: str, rules: StepRules) -> Logs:
-    """Read a dataset of which halfseen knows no more than Minari does; `halfseen.logs.formats.read_minari` says how."""
+    """Read a Minari dataset without halfseen's own metadata; see `halfseen.logs.formats.read_minari`."""
     _check_spaces(dataset, name)
     episodes = list(dataset)
     seen = [_observations(each.observations, len(each), f"{name}, episode {each.id}") for each in episodes]
@@ -229,7 +229,7 @@ def _check_spaces(dataset: Any, name: str) -> None:
 
 
 def _observations(observed: Any, num_steps: int, place: str) -> dict[str, Shaped[np.ndarray, " T1"]]:
-    """Columns of the observation: obs_0, obs_1, …, or key_0, key_1, … where it has parts."""
+    """Columns of the observation: obs_0, obs_1, …, or key_0, key_1, … if it has parts."""
     parts = observed if isinstance(observed, dict) else {"obs": observed}
     columns = {}
     for key, part in parts.items():

@@ -1,8 +1,8 @@
-"""When the steps of other people's datasets ended.
+"""End times of steps in datasets of other programs.
 
-Times count from the beginning of an episode. Those of T + 1 observations say when it began. Those at which its T steps
-ended do not: such a clock begins at 0 in each episode, or it runs on over episodes, and each begins when the one before
-ended.
+Times count from the beginning of an episode. The times of T + 1 observations include that beginning. The end times of
+T steps do not: such a clock either starts at 0 in each episode, or runs on across episodes, and each begins when the
+one before ended.
 """
 
 from collections.abc import Sequence
@@ -15,20 +15,20 @@ from halfseen.logs.columns import shown
 from halfseen.shapes import Float, Int
 
 MOST_FIRST = 3.0
-"""How many times as long as the longest other step a first one may be, where it is not sure when it began."""
+"""Largest ratio of a first step with unknown beginning to the longest other step."""
 LONGEST_S = 1e6
-"""What lasts longer in whole numbers was counted in another unit: 12 days [s], and 1 ms in nanoseconds."""
+"""Longer steps in whole numbers are in another unit: this is 12 days [s], and 1 ms in nanoseconds."""
 
 
 def even_ends(begins: Int[np.ndarray, " E1"], step_s: float) -> Float[np.ndarray, " M"]:
-    """Ends of steps since their episode began [s] that last the same time each, by the steps that begin episodes."""
+    """Ends of steps of equal length since their episode began [s]; `begins` holds the first step of each episode."""
     return step_s * (np.arange(1.0, begins[-1] + 1) - np.repeat(begins[:-1], np.diff(begins)))
 
 
 def ends_by_observations(
     times_s: Float[np.ndarray, " N"], begins: Int[np.ndarray, " E1"], last_s: float = 0.0
 ) -> Float[np.ndarray, " N"]:
-    """Ends of rows since their episode began [s], by when each was observed [s]; the last one lasts `last_s` [s]."""
+    """Ends of rows since their episode began [s], from their observation times [s]; the last row lasts `last_s` [s]."""
     ends_s, last = np.append(times_s[1:], 0.0), begins[1:] - 1
     ends_s[last] = times_s[last] + last_s
     return ends_s - np.repeat(times_s[begins[:-1]], np.diff(begins))
@@ -37,12 +37,12 @@ def ends_by_observations(
 def ends_by_steps(
     place: str, clock: str, names: Sequence[int | str], times_s: Sequence[Float[np.ndarray, " _"]]
 ) -> list[Float[np.ndarray, " _"]]:
-    """Ends of steps since their episode began [s], by the clock at the ends of the steps of each, in order [s].
+    """Ends of steps since their episode began [s], from the clock at the ends of each episode's steps, in order [s].
 
     Raises
     ------
     LogError
-        An episode begins at a time that nobody can tell: its first step would last far longer than any later one.
+        The beginning of an episode is unknown: its first step would last far longer than any later one.
     """
     runs_on = np.array([one[-1] < other[0] for one, other in pairwise(times_s)], dtype=bool)
     if not runs_on.any():
@@ -70,18 +70,18 @@ def ends_by_steps(
 
 
 def refuse_counts(place: str, ends_s: Float[np.ndarray, " M"], num_steps: Int[np.ndarray, " E"]) -> None:
-    """Refuse whole numbers that cannot be seconds: of M ends of steps [s], so many in each of E episodes.
+    """Refuse whole numbers that cannot be seconds, given M ends of steps [s] in E episodes.
 
     Raises
     ------
     LogError
-        Half of the steps or more last `LONGEST_S` or more, and as many end at whole numbers.
+        At least half of the steps last `LONGEST_S` or more, and at least half end at whole numbers.
     """
     first = np.cumsum(num_steps) - num_steps
     lasted_s = np.diff(ends_s, prepend=0.0)
     lasted_s[first] = ends_s[first]
     middle_s = float(np.median(lasted_s))
-    # The last step of an episode may last what one does by the rate of the dataset.
+    # The last step of an episode may have its length from the rate of the dataset.
     if middle_s >= LONGEST_S and np.mean(ends_s == np.floor(ends_s)) >= 0.5:
         raise LogError(
             f"{place}: steps last {middle_s:.4g} s by its clock, in whole numbers, as if it counted nanoseconds or "

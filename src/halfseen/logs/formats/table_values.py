@@ -1,4 +1,4 @@
-"""What the cells of a table mean as numbers and as times; what can be read in two ways is refused."""
+"""Parsing the cells of a table as numbers and times; ambiguous cells are refused."""
 
 import json
 import re
@@ -26,23 +26,23 @@ _GROUPED = re.compile(r"[-+]?\d{1,3}[.,'\u2019 \u00a0\u202f]\d{3}(?!\d)")
 _WITH_UNIT = re.compile(r"([-+\d][\d.,'\u2019 ]*\d|\d) ?([^\W\d]{1,4}|%|°[CF]?)")
 _OTHER = {".": ",", ",": "."}
 _BETWEEN = {".": r"\.", ",": ",", "'": "['\u2019]", " ": "[ \u00a0\u202f]"}
-"""How each mark of thousands may be written."""
+"""Spellings of each thousands separator, as patterns."""
 
 
 class Marks(NamedTuple):
-    """Marks of numbers: of a fraction, and between groups of three digits, if there is one."""
+    """Decimal mark of numbers, and thousands separator, if any."""
 
     decimal: str = "."
     thousands: str = ""
 
 
 def marks_of(cells: Cells, names: Sequence[str]) -> Marks:
-    """Find the decimal mark of some columns, where nobody says it.
+    """The marks of numbers in some columns; the decimal mark is detected if not given.
 
     Raises
     ------
     LogError
-        They may be read in two ways.
+        The columns are ambiguous.
     """
     decimal, thousands = cells.layout.decimal, cells.layout.thousands or ""
     if decimal is not None or thousands in _OTHER or (cells.layout.separator == "," and not _has_comma(cells, names)):
@@ -68,32 +68,32 @@ def marks_of(cells: Cells, names: Sequence[str]) -> Marks:
 
 
 def _has_comma(cells: Cells, names: Sequence[str]) -> bool:
-    """Whether a cell is a fraction by a comma, and no number in thousands."""
+    """Whether a cell has a decimal comma rather than a thousands separator."""
     there = (cell for name in names for cell in cells.columns[name] if "," in cell)
     return any(_FRACTION[","].fullmatch(cell) and not _IN_THOUSANDS[","].fullmatch(cell) for cell in there)
 
 
 def grouped_by(cell: str) -> str | None:
-    """The mark between the thousands of a number, such as 1.234,5 or 1 234; None of others."""
+    """The thousands separator of a number, such as 1.234,5 or 1 234; None without one."""
     ways = (Marks(decimal, mark) for mark in _BETWEEN for decimal in ",." if decimal != mark)
     fits = (way for way in ways if plain_number(cell, Marks(way.decimal)) is None)
     return next((way.thousands for way in fits if plain_number(cell, way) is not None), None)
 
 
 def thousands_mark(cells: Cells) -> str | None:
-    """The mark of thousands of the first number that can be read in one way only: 1.234,5, and not 1.234."""
+    """The thousands separator of the first unambiguous number: 1.234,5, and not 1.234."""
     texts = dict.fromkeys(text for column in cells.columns.values() for text in column if _GROUPED.match(text))
     sure = (text for text in texts if not any(plain_number(text, Marks(mark)) for mark in ",."))
     return next((mark for text in sure if (mark := grouped_by(text)) is not None), None)
 
 
 def is_numeric(cell: str) -> bool:
-    """Whether text is a number of any marks."""
+    """Whether text is a number with any marks."""
     return grouped_by(cell) is not None or any(plain_number(cell, Marks(mark)) is not None for mark in ",.")
 
 
 def plain_number(cell: str, marks: Marks) -> str | None:
-    """A number as Python writes it; None if it is none of these marks."""
+    """A number as Python writes it; None if the cell is not a number with these marks."""
     whole, mark, rest = cell.partition(marks.decimal)
     if marks.thousands:
         between = _BETWEEN[marks.thousands]
@@ -110,7 +110,7 @@ def number_at(cells: Cells, row: int, column: str, marks: Marks) -> float:
     Raises
     ------
     LogError
-        It is no finite number.
+        The cell is not a finite number.
     """
     cell = cells.columns[column][row]
     value = float(plain_number(cell, marks) or "nan")
@@ -122,7 +122,7 @@ def number_at(cells: Cells, row: int, column: str, marks: Marks) -> float:
 
 
 def refuse_most_numbers(cells: Cells, rows: Sequence[int], column: str) -> None:
-    """Refuse cells that are to be text where most of them are numbers, or numbers with the same unit (`LogError`)."""
+    """Refuse text cells if most of them are numbers, or numbers with the same unit (`LogError`)."""
     there = [row for row in rows if cells.columns[column][row]]
     others = [row for row in there if not is_numeric(cells.columns[column][row])]
     if others and 2 * len(others) < len(there):
@@ -140,23 +140,23 @@ _HOUR_NS = 3600 * 10**9
 _DAY_ALONE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}")
 TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d{1,9})?)?( ?[AaPp][Mm])?")
 BEGIN_LIKE = re.compile(r"beg[ia]n|start|anfang|début|inicio|inizio", re.IGNORECASE)
-"""What names of columns look like that tell when something began, in German, English, French, Spanish or Italian."""
+"""Pattern of column names of begin times, in German, English, French, Spanish or Italian."""
 _HAS_DAY = re.compile(r"(?<!%)(%%)*%[djcxs]")
 Stamps: TypeAlias = Int[np.ndarray, " rows"]
 """Times [ns]."""
 
 
 def stamps_ns(cells: Cells, columns: Sequence[str], clock: Clock, marks: Marks) -> Stamps:
-    """Read the times of all rows [ns]: since 1970 of dates, and as they count of numbers.
+    """Read the times of all rows [ns]: dates since 1970, numbers from their own origin.
 
-    Cells of several columns are read as one, with a space between.
+    Cells of several columns are joined by a space.
 
     Raises
     ------
     ArgumentError
-        The format or the zone is none.
+        The format or the zone is invalid.
     LogError
-        A cell is no time, or may be read in two ways.
+        A cell is not a time, or is ambiguous.
     """
     cells, column = joined(cells, columns)
     texts = cells.columns[column]
@@ -184,12 +184,12 @@ def stamps_ns(cells: Cells, columns: Sequence[str], clock: Clock, marks: Marks) 
 
 
 def joined(cells: Cells, columns: Sequence[str]) -> tuple[Cells, str]:
-    """Put the cells of several columns into one, with a space between.
+    """Join the cells of several columns by a space.
 
     Returns
     -------
     tuple
-        A table with one column more, and the name of that column; of one column the table as it is.
+        A table with one more column, and the name of that column; for one column the table unchanged.
 
     Raises
     ------
@@ -207,7 +207,7 @@ def joined(cells: Cells, columns: Sequence[str]) -> tuple[Cells, str]:
 
 
 def _doubt(cells: Cells, column: str, is_of_day: bool) -> str:
-    """What may be wrong of times without a zone, or without a date."""
+    """Possible fault of times without a zone, or without a date."""
     wrong = "an hour is wrong where clocks were changed"
     if not is_of_day:
         return f"times have no zone, so that {wrong}; say clock.zone, such as 'Europe/Berlin' or 'UTC'"
@@ -223,22 +223,22 @@ def _both(dates: str, times: str) -> str:
 
 
 def _column_of(cells: Cells, like: re.Pattern[str]) -> str | None:
-    """The first column all of whose cells look alike."""
+    """The first column in which all cells match a pattern."""
     return next((name for name, texts in cells.columns.items() if all(map(like.fullmatch, texts))), None)
 
 
 def dates_and_times(cells: Cells) -> list[list[str]]:
-    """The column of dates alone with each one of times of day."""
+    """Pairs of the column of dates with each column of times of day."""
     dates = _column_of(cells, _DAY_ALONE)
     times = [name for name, texts in cells.columns.items() if all(map(TIME_OF_DAY.fullmatch, texts))]
     return [] if dates is None else [[dates, name] for name in times]
 
 
 def _over_midnight(cells: Cells, column: str, times: Stamps) -> Stamps:
-    """Times of day on a clock that runs on: each is less than 18 h after the one before, or up to an hour before it."""
+    """Times of day unwrapped over midnight: each is less than 18 h after the one before, or at most 1 h before it."""
     steps, day = np.diff(times), 24 * _HOUR_NS
     near = steps - day * np.rint(steps / day).astype(np.int64)
-    forth = -1 if np.sign(near).sum() < 0 else 1  # the newest may stand first
+    forth = -1 if np.sign(near).sum() < 0 else 1  # the newest may come first
     steps = (forth * steps + _HOUR_NS) % day - _HOUR_NS
     if (steps > 18 * _HOUR_NS).any():
         row = int(np.argmax(steps > 18 * _HOUR_NS)) + 1
