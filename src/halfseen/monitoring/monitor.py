@@ -1,8 +1,8 @@
 """Monitoring of a policy in service: its earnings against the promise, what has changed, and since when.
 
-Four families of bets and the sampling error of the promise share the 5 % probability of a false alarm in a whole lifetime:
-`ALPHAS` for the families, 0.5 % for the promise. The rewards of all actions get the most, since any harm shows
-there.
+Four families of bets and the sampling error of the promise share the 5 % probability of a false alarm in a whole
+lifetime: `ALPHAS` for the families, 0.5 % for the promise. The rewards of all actions get the most, since any harm
+shows there.
 """
 
 from dataclasses import dataclass
