@@ -85,7 +85,7 @@ def _referred(model: type[Struct]) -> Schema:
 
 
 def _covariates(service: InService, state: Schema) -> Schema:
-    """Schema of a state: policy covariates, common fields, and the middle of the log's range as an example."""
+    """Fields of a state: policy covariates, common fields, and the middle of the log's range as an example."""
     policy, seen = service.stored.policy, service.stored.ranges(1) or {}
     filling = policy.filling or Filling({}, 1)
     may_lack = {name for name, fill in filling.fills.items() if fill.value is not None} | {*filling.flags}
