@@ -107,7 +107,7 @@ def _covariate(categories: Any, seen: Any, may_lack: bool) -> Schema:
 
 
 def description_of(api: Schema) -> str:
-    """Write the page of what `halfseen.serving.pages.described` describes."""
+    """Render a description from `halfseen.serving.pages.described` as a page."""
     css = files("halfseen.view").joinpath("page.css").read_text(encoding="utf-8")
     title, schemas = escape(api["info"]["title"]), api["components"]["schemas"]
     parts = [_address(path, how, each, schemas) for path, hows in api["paths"].items() for how, each in hows.items()]
