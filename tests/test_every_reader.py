@@ -194,7 +194,7 @@ def test_what_is_too_large_is_refused_unread(place, name):
 
 NO_BAG, MINARI = "it is no whole bag .*ros2 bag reindex", "flat-v0/data/main_data.hdf5"
 NO_DATABASE = (
-    r"cell\.db: trajectories, row 0: trajectory is null"
+    r"cell\.db: trajectories(, row 0: trajectory is null|: column 'ending' holds .* the character NUL)"
     r"|cell\.db, stages: the database refuses .*(malformed|disk image|no such)"
 )
 TORN = [

@@ -6,7 +6,7 @@ import pytest
 from scipy.stats import norm
 
 from halfseen.cli.act import lines
-from halfseen.errors import PolicyError
+from halfseen.errors import LogError, PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
@@ -191,6 +191,23 @@ def test_actions_that_the_policy_does_not_know_are_named_first(stored):
         "1 of 200 actions is 'C', which is none of the policy's (A, B).",
     )
     assert lines(found)[:2] == list(found.doubts)
+
+
+def test_a_log_of_which_it_knows_no_action_is_refused(stored):
+    logs = cell(200, 1, policy=stored.policy)
+    lower = Logs(logs.stages.assign(action=logs.stages["action"].str.lower()), logs.trajectories)
+    with pytest.raises(
+        LogError, match=r"none of its actions is the policy's\. \d+ of 200 actions are '[ab]', which is none"
+    ):
+        monitored(stored, lower)
+
+
+def test_rewards_in_another_unit_are_no_swapped_columns(stored):
+    logs = cell(400, 7, policy=stored.policy, are_alike=True)
+    found = monitored(stored, Logs(logs.stages.assign(reward=100.0 * logs.stages["reward"]), logs.trajectories))
+    assert found.causes[0] == "rewards are as if in another unit: a trajectory brings about 100, and 1 was the most"
+    assert not any("swapped" in each for each in (found.sentence, *found.causes))
+    assert any(each.startswith("Mend what is recorded") for each in lines(found))
 
 
 def test_in_a_comparison_the_policys_trajectories_alone_say_what_it_earns(stored):

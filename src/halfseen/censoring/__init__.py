@@ -1,13 +1,13 @@
-"""Censoring models Ĝ(u⁻ | z) = P(C ≥ u | z), and the inverse-probability-of-censoring weights that they give.
+"""Censoring models Ĝ(u⁻ | z) = P(C ≥ u | z), and inverse-probability-of-censoring weights from them.
 
-A *trajectory* is a trajectory: one episode. A *cut* right-censors it at the time C, by something outside the task. What
-is modelled is C, so the roles are swapped beside survival analysis of failures: a cut is the event, and the
-trajectory's own end censors it.
+A *trajectory* is one episode. A *cut* right-censors it at the time C, by something outside the task. The model is of C,
+so the roles are swapped compared with survival analysis of failures: a cut is the event, and the trajectory's own end
+censors it.
 
-Read down: `inputs` (what every fit accepts), `clocks` (when stages began and ended, and which times are equal) → the
-models: `kaplan_meier`, `cox`, `kernel_kaplan_meier` → `model` (what a censoring model is, and those that have names) →
-`weights` → `cut_model` (Ĝ by trajectory or by stage, and which model on which clock). The report: `positivity_facts`,
-told in words → `positivity`, drawn.
+The modules, in order: `inputs` (validation), `clocks` (start and end of stages, and equal times) → the models
+`kaplan_meier`, `cox`, `kernel_kaplan_meier` → `model` (the protocol, and models by name) → `weights` → `cut_model` (Ĝ
+by trajectory or by stage, on the matching clock). The report: `positivity_facts` (in words) → `positivity` (as a
+figure).
 """
 
 from typing import TYPE_CHECKING

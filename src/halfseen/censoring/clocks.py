@@ -1,8 +1,8 @@
 """Clocks of trajectories and their stages, and times on them that are equal up to rounding.
 
-Ticks that were added up, or a clock's origin that was subtracted, leave rounding. Completions come before cuts at equal
-times, so a tie that rounding breaks biases Ĝ. What rounding leaves stands out: between it and the differences that are
-real there is a gap that chance does not make.
+Adding up ticks, or subtracting a clock's origin, leaves rounding errors. Completions come before cuts at equal times,
+so a tie broken by rounding biases Ĝ. Rounding can be recognised: between it and the real differences there is a gap
+that is too large for chance.
 """
 
 from collections.abc import Sequence
@@ -14,27 +14,27 @@ from halfseen.arrays import Rows
 from halfseen.shapes import Bool, Float, Int
 
 LARGEST_ROUNDING = 1e-5
-"""Of the span of nine in ten times; larger differences are no rounding."""
+"""As a share of the range of the lower 90 % of times; larger differences are not rounding."""
 CHANCE = 1e-9
-"""Of taking differences between times that fall anywhere for rounding."""
+"""Probability of mistaking differences between continuous times for rounding."""
 SMALLEST_RATIO = 20.0
-"""Between the smallest difference that is real and the largest that is rounding."""
+"""Of the smallest real difference to the largest rounding."""
 ROOM = 10.0
-"""Times may differ by this many of the largest roundings seen."""
+"""The tolerance as a multiple of the largest rounding."""
 ULPS = 64.0
-"""Units in the last place of the latest time that are rounding in any log."""
+"""Tolerance in units in the last place of the latest time, valid for every log."""
 FEWEST_ROWS, SHARED, TICK_RATIO = 20, 0.5, 1e3
-"""Where half of at least 20 times are shared to the last digit, the clock ticks, and no two ticks are closer than a
-thousandth of what separates others."""
+"""If half of at least 20 times are shared exactly, the clock ticks, and no two ticks are closer than a thousandth of
+the gaps between others."""
 
 
 def clock_tolerance_s(time: Rows) -> float:
-    """How far apart times may be that are meant to be equal [s].
+    """Tolerance within which times count as equal [s].
 
-    Sort the differences d_1 ≤ d_2 ≤ … between neighbouring distinct times. Were there no rounding, d_{k+1} ≥ r d_k
-    would have probability r^−k. So the largest d_k with r^−k ≤ 1e-9 and r ≥ 20 is rounding, if it is at most 1e-5 of
-    the span of nine in ten times, and times may differ by up to ten times as much. Where the clock is seen to tick,
-    r ≥ 1000 is enough. Where there is no such d_k, they may differ by 64 units in the last place.
+    Sort the differences d_1 ≤ d_2 ≤ … between neighbouring distinct times. Without rounding, d_{k+1} ≥ r d_k would have
+    probability r^−k. So the largest d_k with r^−k ≤ 1e-9 and r ≥ 20 is taken to be rounding, if it is at most 1e-5 of
+    the range of the lower 90 % of times, and the tolerance is up to ten times as much. If the clock ticks, r ≥ 1000 is
+    enough. If there is no such d_k, the tolerance is 64 units in the last place.
     """
     distinct, counts = np.unique(time, return_counts=True)
     differences = np.diff(distinct)
@@ -55,7 +55,7 @@ def clock_tolerance_s(time: Rows) -> float:
 
 
 def tied(time: Rows) -> tuple[Rows, float]:
-    """Give times that are meant to be equal the earliest of them, and the tolerance [s]; 0 where there are none."""
+    """Replace times that count as equal by the earliest of them; return the tolerance, too [s], 0 without ties."""
     tolerance_s = clock_tolerance_s(time)
     distinct, place = np.unique(time, return_inverse=True)
     is_first = np.append(True, np.diff(distinct) > tolerance_s)
@@ -63,7 +63,7 @@ def tied(time: Rows) -> tuple[Rows, float]:
 
 
 def tied_clocks(end_s: Rows, elapsed_s: Float[np.ndarray, "n T"]) -> tuple[Rows, Float[np.ndarray, "n T"]]:
-    """Make ends [s] and clocks of stages [s] equal that are meant to be; a clock may be NaN."""
+    """Make ends [s] and clocks of stages [s] equal if they count as equal; a clock may be NaN."""
     is_known = ~np.isnan(elapsed_s)
     both, _ = tied(np.concatenate([end_s, elapsed_s[is_known]]))
     clock = np.full(elapsed_s.shape, np.nan)
@@ -72,26 +72,26 @@ def tied_clocks(end_s: Rows, elapsed_s: Float[np.ndarray, "n T"]) -> tuple[Rows,
 
 
 SMALLEST_AGE_S = 1e-9
-"""A stage that was cut as it began was watched this long [s]; ages are counted in it, too."""
+"""Duration of a stage that was cut as it began [s]; also the resolution of ages."""
 
 
 class StageClocks(NamedTuple):
-    """Trajectories, one a row, and their stages, padded to T; where there is no stage stands 0, False or NaN."""
+    """Trajectories, one per row, and their stages, padded to T; 0, False or NaN where there is no stage."""
 
     trajectory_ids: np.ndarray
     elapsed_s: Float[np.ndarray, "n T"]
-    """U_t, on the total-time scale [s]; NaN where not completed."""
+    """U_t, on the total-time scale [s]; NaN if not completed."""
     end_s: Float[np.ndarray, " n"]
     is_finished: Bool[np.ndarray, " n"]
-    """False where the trajectory was right-censored."""
+    """False if the trajectory was right-censored."""
     is_begun: Bool[np.ndarray, "n T"]
     covariates: Float[np.ndarray, "n T P"]
-    """What cuts may depend on; 0 where there is no such stage."""
+    """Covariates of cuts; 0 where there is no such stage."""
     covariate_names: tuple[str, ...]
 
     @classmethod
     def of_ends(cls, end_s: Float[np.ndarray, " n"], is_finished: Bool[np.ndarray, " n"]) -> "StageClocks":
-        """Trajectories of which nothing is known but their ends; what is not known takes no memory."""
+        """Trajectories of which only the ends are known; the unknown fields take no memory."""
         shape = (len(end_s), 1)
         return cls(
             trajectory_ids=np.broadcast_to(np.array(None), len(end_s)),
@@ -110,7 +110,7 @@ class StageClocks(NamedTuple):
 
     @property
     def num_stages(self) -> int:
-        """Number T of stages that a trajectory may have."""
+        """Maximum number T of stages of a trajectory."""
         return self.elapsed_s.shape[1]
 
     @property
@@ -120,19 +120,19 @@ class StageClocks(NamedTuple):
 
     @property
     def is_last(self) -> Bool[np.ndarray, "n T"]:
-        """Completed stages after which a trajectory had come to its own end."""
+        """Completed stages with which a trajectory finished."""
         last = self.is_begun.sum(axis=1) - 1
         return (np.arange(self.num_stages) == last[:, None]) & self.is_finished[:, None]
 
     @property
     def begun_at_s(self) -> Float[np.ndarray, "n T"]:
-        """U_{t−1} of each begun stage [s]; 0 elsewhere."""
+        """U_{t−1} of each stage that began [s]; 0 elsewhere."""
         before = np.concatenate([np.zeros((self.num_trajectories, 1)), self.elapsed_s[:, :-1]], axis=1)
         return np.where(self.is_begun, before, 0.0)
 
     @property
     def watched_s(self) -> Float[np.ndarray, "n T"]:
-        """How long each begun stage was watched, to its completion or its cut: its gap time [s]; 0 elsewhere.
+        """Time from the start of each stage to its completion or cut, i.e. its gap time [s]; 0 elsewhere.
 
         Times that are equal up to rounding are made equal.
         """
@@ -144,18 +144,18 @@ class StageClocks(NamedTuple):
         return watched_s
 
     def take(self, rows: Int[np.ndarray, " k"] | slice) -> "StageClocks":
-        """Keep these trajectories, which may repeat, in this order; a slice of them copies nothing."""
+        """Select trajectories, with repetition and in this order; a slice is a view."""
         kept: Any = {name: leaf[rows] for name, leaf in self._asdict().items() if name != "covariate_names"}
         return self._replace(**kept)
 
     def begun(self) -> "StageClocks":
-        """Keep of each trajectory its end and what it was like as it began: its first stage."""
+        """Keep of each trajectory only its end and the covariates of its first stage."""
         first = {name: getattr(self, name)[:, :1] for name in ("elapsed_s", "is_begun", "covariates")}
         return self._replace(**first)
 
 
 def stacked(parts: Sequence[StageClocks]) -> StageClocks:
-    """Put parts of a log together, of the same covariates."""
+    """Concatenate parts of a log with the same covariates."""
     leaves: Any = {
         name: np.concatenate([getattr(part, name) for part in parts])
         for name in StageClocks._fields

@@ -1,7 +1,7 @@
-"""Cox's proportional hazards for the censoring time C (design, §2): covariates may hasten the cut.
+"""Cox's proportional hazards for the censoring time C (design, §2): cuts depend on covariates.
 
-A trajectory that finishes at s leaves before those that are cut at s. So in the order of the time, finishes first,
-those at risk at a cut time are the trajectories from its first cut on, and every sum over them is a suffix sum.
+A trajectory that finishes at s leaves before those cut at s. So in the order of time, finishes first, the risk set of a
+cut time consists of the trajectories from its first cut on, and every sum over it is a suffix sum.
 
 ========  ==============================================================================================
 symbol    here
@@ -33,14 +33,15 @@ from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator
 from halfseen.shapes import Float
 
-# Relative to the largest risk; the inverse and its sums still are floats.
+# Relative to the largest risk; above it, the inverse and its sums are finite.
 SMALLEST_RISK = 1e-290
-# Proportion of the information in a direction that counts as none.
+# A direction with less than this share of the information counts as having none.
 NO_INFORMATION = 1e-10
-# A maximum that moves off takes the information with it, by a factor of about e a step; no fit comes near this.
+# If the maximum is at infinity, each step reduces the information by a factor of about e; no regular fit comes near
+# this.
 INFORMATION_LOST = 1e-8
 MAX_ITERATIONS, MAX_HALVINGS = 60, 30
-# In standard deviations; Newton doubles the digits, so the step after this one would be at the rounding.
+# In standard deviations; Newton doubles the digits, so the next step would be at the rounding.
 STEP_TOLERANCE = 1e-8
 
 
@@ -64,8 +65,8 @@ def partial_likelihood(
 
     Notes
     -----
-    No p × p matrix is made for each trajectory. Σ_j Σ_{i ∈ R_j} r_i z_i z_iᵀ / D_j is one product Zᵀ diag(r · exposure)
-    Z, where a trajectory's exposure Σ_{j: i ∈ R_j} 1/D_j grows from cut to cut while it is watched.
+    No p × p matrix is formed per trajectory. Σ_j Σ_{i ∈ R_j} r_i z_i z_iᵀ / D_j is one product Zᵀ diag(r · exposure) Z,
+    where a trajectory's exposure Σ_{j: i ∈ R_j} 1/D_j grows at each cut while it is at risk.
     """
     scores = covariates @ beta
     # Relative to the largest, so that no risk overflows.
@@ -96,7 +97,7 @@ def partial_likelihood(
 
 
 def _nowhere(num_covariates: int, num_times: int) -> PartialLikelihood:
-    """β is so large that all risk at some cut time underflows."""
+    """Result for a β so large that all risk at some cut time underflows."""
     information = np.full((num_covariates, num_covariates), np.nan)
     return PartialLikelihood(-np.inf, np.full(num_covariates, np.nan), information, np.full(num_times, np.nan))
 
@@ -113,27 +114,27 @@ def _group_sums(values: np.ndarray, trajectories: CutOrder) -> np.ndarray:
 class Cox(Estimator):
     """Proportional hazards of being cut (right-censored), P(C ≥ u | z) = exp(−Λ0(u⁻) exp((z − z̄)β)) [Cox1972]_.
 
-    β maximises the partial likelihood of the cuts; a trajectory that finishes at s leaves before those that are cut at
-    s. Λ0 is Breslow's baseline [Breslow1974]_ for ``ties="breslow"``, and Efron's [Efron1977]_, which spreads the cuts
-    of one time, for ``ties="efron"``. Unlike `KaplanMeier`, Ĝ never reaches 0, not even where the last trajectories
-    were cut: beyond ``last_time_`` it keeps its last value, which no trajectory speaks for.
+    β maximises the partial likelihood of the cuts; a trajectory that finishes at s leaves before those cut at s. Λ0 is
+    Breslow's baseline [Breslow1974]_ for ``ties="breslow"``, and Efron's [Efron1977]_, which spreads the cuts of one
+    time, for ``ties="efron"``. Unlike `KaplanMeier`, Ĝ never reaches 0, even if the last trajectories were cut: beyond
+    ``last_time_`` it keeps its last value, an extrapolation without data.
 
     Parameters
     ----------
     ties
-        How cuts at equal times count: ``"efron"`` or ``"breslow"``.
+        How equal cut times are treated: ``"efron"`` or ``"breslow"``.
     ridge
-        Penalty ridge/2 · Σ_j (β_j · sd_j)² on the log partial likelihood, ≥ 0; above 0 it also settles collinear
-        covariates, and those that tell the cut trajectories apart perfectly.
+        Penalty ridge/2 · Σ_j (β_j · sd_j)² on the log partial likelihood, ≥ 0; a positive one also makes the fit unique
+        with collinear covariates or perfect separation.
 
     Attributes
     ----------
     coefficients_ : Float[ndarray, "p"]
-        β, one for each covariate in its own unit; 0 where no trajectory was cut.
+        β, one for each covariate in its own unit; 0 if no trajectory was cut.
     standard_errors_ : Float[ndarray, "p"]
-        Their standard errors, from the inverse information; infinite where no trajectory was cut and ridge is 0.
+        Their standard errors, from the inverse information; infinite if no trajectory was cut and ridge is 0.
     covariates_ : list of str
-        What the columns are called.
+        Names of the columns.
     means_ : Float[ndarray, "p"]
         z̄: the mean of each covariate.
     times_ : Float[ndarray, "k"]
@@ -149,9 +150,9 @@ class Cox(Estimator):
     num_cut_ : int
         Number of those that were cut.
     last_time_ : float
-        The last observed end [s]; nothing was seen beyond it.
+        The last observed end [s]; there are no data beyond it.
     tolerance_s_ : float
-        Times that differ by no more count as equal [s]; 0 where no times of the fit do.
+        Times that differ by no more count as equal [s]; 0 if no times of the fit do.
 
     Examples
     --------
@@ -183,14 +184,14 @@ class Cox(Estimator):
         self.ridge = ridge
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: Any = None) -> "Cox":
-        """Maximise the partial likelihood by Newton's method, with step halving; given as in `CensoringModel.fit`.
+        """Maximise the partial likelihood by Newton's method, with step halving; parameters as in `CensoringModel.fit`.
 
         Raises
         ------
         ArgumentError
             A time is not finite and positive, the lengths differ, a covariate is missing, constant or a combination of
-            others, fewer trajectories were cut than there are covariates, or a covariate tells the cut trajectories
-            apart so well that its coefficient has no end.
+            others, fewer trajectories were cut than there are covariates, or a covariate separates the cut trajectories
+            so well that its coefficient is infinite.
         """
         self._check_parameters()
         ends, finished = checked_ends(time, is_finished)
@@ -214,7 +215,7 @@ class Cox(Estimator):
             self.coefficients_, self.standard_errors_ = beta / scales, np.sqrt(np.diag(covariance)) / scales
             self.cumulative_hazard_, self.log_likelihood_ = np.cumsum(best.hazard), best.value
         else:
-            # No trajectory was cut, so Ĝ is 1 and the data say nothing about β.
+            # No trajectory was cut, so Ĝ is 1 and β is not identified.
             self.coefficients_, self.standard_errors_ = np.zeros(len(names)), np.full(len(names), np.inf)
             self.cumulative_hazard_, self.log_likelihood_, self.num_iterations_ = np.empty(0), 0.0, 0
         self.covariates_, self.means_ = names, means
@@ -223,7 +224,7 @@ class Cox(Estimator):
         return self
 
     def survival(self, u: ArrayLike, covariates: Any = None) -> Float[np.ndarray, "..."]:
-        """Ĝ(u⁻ | z) = P(C ≥ u | z), asked as in `CensoringModel.survival`.
+        """Ĝ(u⁻ | z) = P(C ≥ u | z); parameters as in `CensoringModel.survival`.
 
         Raises
         ------
@@ -236,7 +237,7 @@ class Cox(Estimator):
         scores = (values - self.means_) @ self.coefficients_
         levels = np.concatenate(([0.0], self.cumulative_hazard_))
         hazard = levels[np.searchsorted(self.times_, times - self.tolerance_s_, side="left")]
-        # A far-off row has no hazard that a float could hold; at times before all cuts its survival is still 1.
+        # The hazard ratio of an extreme row would overflow; before all cuts its survival must still be 1.
         ratio = np.exp(np.minimum(scores, 700.0)).reshape((-1,) + (1,) * max(times.ndim - 1, 0))
         with np.errstate(over="ignore"):
             return np.exp(-hazard * ratio).reshape(times.shape)
@@ -251,7 +252,7 @@ class Cox(Estimator):
 def _maximise(
     covariates: Float[np.ndarray, "n p"], trajectories: CutOrder, is_efron: bool, ridge: float, names: list[str]
 ) -> tuple[Float[np.ndarray, " p"], PartialLikelihood, int]:
-    """Find β, the partial likelihood there, and the number of Newton steps; covariates are standardised."""
+    """Find β, the partial likelihood at β, and the number of Newton steps; covariates are standardised."""
     beta = np.zeros(covariates.shape[1])
     now = partial_likelihood(beta, covariates, trajectories, is_efron)
     initial = now.information
@@ -276,7 +277,7 @@ def _maximise(
 
 
 def _refuse_unidentified(information: Float[np.ndarray, "p p"], num_cuts: int, names: list[str]) -> None:
-    """Refuse covariates whose effects cannot be told apart, from the information at β = 0 in standard deviations."""
+    """Refuse covariates with unidentified effects, by the information at β = 0 in standard deviations."""
     own = np.diag(information)
     if (own <= NO_INFORMATION * num_cuts).any():
         column = int(np.argmin(own))
@@ -297,7 +298,7 @@ def _refuse_unidentified(information: Float[np.ndarray, "p p"], num_cuts: int, n
 def _refuse_separation(
     information: Float[np.ndarray, "p p"], initial: Float[np.ndarray, "p p"], names: list[str]
 ) -> None:
-    """Refuse a partial likelihood that has lost all its information along the way: its maximum is at infinity."""
+    """Refuse a partial likelihood that has lost all its information during the fit: its maximum is at infinity."""
     import scipy.linalg
 
     shares, directions = scipy.linalg.eigh(information, initial)
@@ -306,7 +307,7 @@ def _refuse_separation(
 
 
 def _without_end(name: str) -> ArgumentError:
-    """The partial likelihood is monotone in the coefficient of this covariate."""
+    """Error: the partial likelihood is monotone in the coefficient of this covariate."""
     return ArgumentError(
         f"covariates, {name}: its coefficient runs off to infinity, since it tells perfectly which of the trajectories "
         "still watched is cut next; leave it out, give ridge > 0, or use KaplanMeier"
@@ -314,6 +315,6 @@ def _without_end(name: str) -> ArgumentError:
 
 
 def _penalised(likelihood: PartialLikelihood, beta: Float[np.ndarray, " p"], ridge: float) -> float:
-    """Log partial likelihood less the penalty; −∞ where it has left the range of floats."""
+    """Log partial likelihood minus the penalty; −∞ if it is out of the range of floats."""
     value = likelihood.value - ridge / 2 * float(beta @ beta)
     return value if np.isfinite(value) and np.isfinite(likelihood.information).all() else -np.inf

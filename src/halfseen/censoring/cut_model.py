@@ -1,16 +1,15 @@
-"""Who is cut, and when: Ĝ on the clock of a trajectory (total time), or on that of each stage (gap time).
+"""The distribution of cuts: Ĝ on the clock of a trajectory (total time), or of each stage (gap time).
 
 ========  ============================================================================================
 ``by``    what the model is fitted to
 ========  ============================================================================================
-trajectory      one row a trajectory: its end, and the covariates with which it began
-stage     for each stage t its own model: how long it was watched, its covariates and its action
+trajectory      one row per trajectory: its end, and its initial covariates
+stage     for each stage t its own model: its observed duration, its covariates and its action
 pooled    the same, one model for the rows of all stages
 ========  ============================================================================================
 
 On the clock of stages, a trajectory is uncut until U_t with probability Ĝ(U_t⁻) = Π_{s≤t} K̂_s(D_s⁻ | S_s, A_s), where
-D_s is the duration of stage s: cuts may depend on all that a trajectory has shown so far, through S_s and A_s
-[Robins1992]_.
+D_s is the duration of stage s: cuts may depend on the history through S_s and A_s [Robins1992]_.
 """
 
 from collections.abc import Sequence
@@ -33,11 +32,11 @@ CENSORING_BY: tuple[str, ...] = get_args(CensoringBy)
 
 
 STAGE_RIDGE = 1.0
-"""Penalty of ``"cox"`` on the clock of stages: few cuts fall into each stage and action, and none into some."""
+"""Penalty of ``"cox"`` on the clock of stages: few cuts occur per stage and action, and none in some."""
 
 
 class FittedRows(NamedTuple):
-    """One fitted model, and the columns of the covariates that it uses."""
+    """A fitted model, and the columns of the covariates that it uses."""
 
     model: CensoringModel
     columns: Int[np.ndarray, " p"]
@@ -54,7 +53,7 @@ class CutModel:
     fitted
         One model; or one for each stage.
     truncate_at
-        Largest weight 1/Ĝ allowed; None truncates nothing.
+        Largest weight 1/Ĝ allowed; None for no truncation.
     """
 
     by: CensoringBy
@@ -64,7 +63,7 @@ class CutModel:
     def survival(
         self, trajectories: StageClocks, age_s: Float[np.ndarray, "n T *S"], is_wanted: Bool[np.ndarray, "n T"]
     ) -> Float[np.ndarray, "n T *S"]:
-        """K̂: probability that a begun stage is not cut before these ages, given that it began; 1 where not wanted.
+        """K̂: probability that a stage, given that it began, is not cut before these ages; 1 where not wanted.
 
         Parameters
         ----------
@@ -73,7 +72,7 @@ class CutModel:
         age_s
             Time since the stage began [s].
         is_wanted
-            Begun stages that are asked about.
+            Stages to evaluate, among those that began.
         """
         probabilities, (trajectory, stage) = np.ones(age_s.shape), np.nonzero(is_wanted)
         age = age_s[trajectory, stage]
@@ -91,12 +90,12 @@ class CutModel:
         return probabilities
 
     def weights(self, trajectories: StageClocks) -> Float[np.ndarray, "n T"]:
-        """δ_t / Ĝ(U_t⁻), 0 where a stage was not completed.
+        """δ_t / Ĝ(U_t⁻), 0 if a stage was not completed.
 
         Raises
         ------
         PositivityError
-            Ĝ is 0 at an observed completion, and no truncation was asked for; trajectory and stage are named.
+            Ĝ is 0 at an observed completion, without truncation; the message names trajectory and stage.
         """
         if self.by == "trajectory":
             model, columns = self.fitted[0]
@@ -112,7 +111,7 @@ class CutModel:
         return np.where(trajectories.is_completed, 1.0 / np.maximum(survival, 1.0 / self.truncate_at), 0.0)
 
     def begun_weights(self, trajectories: StageClocks) -> Float[np.ndarray, "n T"]:
-        """1 / Ĝ(U_{t−1}⁻) of each begun stage: what the stage before it weighed; 0 elsewhere."""
+        """1 / Ĝ(U_{t−1}⁻) of each stage that began, i.e. the weight of the stage before; 0 elsewhere."""
         before = np.pad(self.weights(trajectories)[:, :-1], ((0, 0), (1, 0)), constant_values=1.0)
         return np.where(trajectories.is_begun, before, 0.0)
 
@@ -126,27 +125,27 @@ class CutModel:
 
 @dataclass(frozen=True)
 class CensoringSpec:
-    """A censoring model that is still to be fitted, and its time scale.
+    """An unfitted censoring model and its time scale.
 
     Parameters
     ----------
     model
-        ``"kaplan-meier"``, ``"cox"``, ``"kernel"``, or a fitted or unfitted `CensoringModel`: what Ĝ is.
+        ``"kaplan-meier"``, ``"cox"``, ``"kernel"``, or a fitted or unfitted `CensoringModel` for Ĝ.
     by
-        ``"trajectory"``: Ĝ on the total-time scale, given how the trajectory began; ``"stage"``: a model for each
-        stage, on the gap-time scale; ``"pooled"``: one such model for all stages (see `cut_model`). By stage or pooled,
+        ``"trajectory"``: Ĝ on the total-time scale, given the initial covariates; ``"stage"``: a model for each stage,
+        on the gap-time scale; ``"pooled"``: one such model for all stages (see `cut_model`). By stage or pooled,
         ``"cox"`` is ``Cox(ridge=1)``.
     covariates
-        What a model that uses covariates is given: columns of the stages, and ``"action"`` for the action; for a table
-        ``"num_objects"``, ``"mean_occlusion"``, ``"action"``, ``"target_occlusion"``. None for all, the action by
-        stage only, and of a trajectory's first table the first two.
+        Covariates of a model that uses them: columns of the stages, and ``"action"`` for the action; for a table
+        ``"num_objects"``, ``"mean_occlusion"``, ``"action"``, ``"target_occlusion"``. None for all; by trajectory the
+        action is excluded, and for tables only the first two, of the first table, are used.
     truncate_at
-        Largest weight 1/Ĝ allowed; None truncates nothing.
+        Largest weight 1/Ĝ allowed; None for no truncation.
 
     Raises
     ------
     ArgumentError
-        There is no such model or clock, the covariates are no list, or the bound is below 1.
+        The model or clock does not exist, the covariates are not a list, or the bound is below 1.
     """
 
     model: str | CensoringModel = "kaplan-meier"
@@ -169,7 +168,7 @@ class CensoringSpec:
 
     @property
     def name(self) -> str:
-        """Name of the model, or what an object prints."""
+        """Name of the model, or its repr for an object."""
         return self.model if isinstance(self.model, str) else repr(self.model)
 
     @property
@@ -178,20 +177,19 @@ class CensoringSpec:
         return uses_covariates(named_model(self.model))
 
     def looks_at(self, clocks: StageClocks) -> StageClocks | None:
-        """What of a part of a log Ĝ is fitted to, beyond the ends of the trajectories; None if nothing."""
+        """The part of the clocks that Ĝ is fitted to, besides the ends of the trajectories; None if nothing."""
         if self.by != "trajectory":
             return clocks
-        # On the clock of trajectories, Ĝ looks at how each began alone.
+        # On the clock of trajectories, Ĝ uses only the initial covariates.
         return clocks.begun() if self.uses_covariates else None
 
     def fit_cuts(self, clocks: StageClocks) -> CutModel:
-        """Fit Ĝ to a log; a model that is fitted already is taken as it is.
+        """Fit Ĝ to a log; a fitted model is used as it is.
 
         Raises
         ------
         ArgumentError
-            The model cannot be fitted, or needs the action of a stage in which a trajectory was cut, which was not
-            logged.
+            The model cannot be fitted, or needs the action of a cut stage, which was not logged.
         """
         by: Any = self.by
         model, names, stages = self.model, clocks.covariate_names, np.arange(clocks.num_stages)
@@ -207,7 +205,7 @@ class CensoringSpec:
             for t in stages if by == "stage" else [None]:
                 wanted = clocks.is_begun if t is None else clocks.is_begun & (stages == t)
                 if not wanted.any():
-                    # No trajectory came so far: nothing can be asked of it either.
+                    # No trajectory reached this stage, so the model is never evaluated either.
                     fitted.append(fitted[-1])
                     continue
                 _refuse_unknown(clocks, wanted)

@@ -1,6 +1,6 @@
-"""What every fit and every weight accepts: array-likes in, checked float64 and bool out, bad values named.
+"""Validation of inputs: array-likes become checked float64 and bool arrays, and messages name bad values.
 
-Covariates: a matrix or a table in, a checked float64 matrix and its column names out.
+Covariates: a matrix or a table becomes a checked float64 matrix and its column names.
 """
 
 from typing import Any
@@ -15,16 +15,16 @@ from halfseen.shapes import Float, Int
 
 
 def checked_ends(time: ArrayLike, is_finished: ArrayLike, name: str = "time") -> tuple[Rows, RowMask]:
-    """Observed ends of trajectories and whether each was the trajectory's own.
+    """Check observed ends of trajectories, and whether each trajectory finished.
 
     Parameters
     ----------
     time
         Observed end of each trajectory [s], finite and positive, shape (n,).
     is_finished
-        True where the trajectory reached its own end, False where it was cut, shape (n,); 0 and 1 will do.
+        True if the trajectory finished, False if it was cut, shape (n,); 0 and 1 are accepted.
     name
-        What `time` is called in the caller's signature, for the message.
+        Name of `time` in the caller's signature, for the message.
     """
     ends = checked_floats(time, name)
     finished = _checked_bools(is_finished, "is_finished")
@@ -56,7 +56,7 @@ def checked_floats(values: ArrayLike, name: str, ndim: int = 1) -> np.ndarray:
 
 
 def checked_times(u: ArrayLike) -> Float[np.ndarray, "..."]:
-    """Times asked about as float64; NaN is none."""
+    """Times of a query as float64; NaN is refused."""
     times = np.asarray(u, dtype=np.float64)
     if np.isnan(times).any():
         row = int(np.argmax(np.isnan(times.ravel())))
@@ -65,7 +65,7 @@ def checked_times(u: ArrayLike) -> Float[np.ndarray, "..."]:
 
 
 def checked_truncation(truncate_at: float | int | None) -> float | int | None:
-    """Refuse a bound on the weights that none could meet: every weight 1/Ĝ is at least 1."""
+    """Refuse a bound on the weights below 1: every weight 1/Ĝ is at least 1."""
     if truncate_at is not None and not 1.0 <= truncate_at < np.inf:
         raise ArgumentError(
             f"truncate_at is {truncate_at}; weights are at least 1, so give a finite bound ≥ 1, or None"
@@ -79,7 +79,7 @@ def _checked_bools(values: ArrayLike, name: str) -> RowMask:
         raise ArgumentError(f"{name} has shape {flags.shape}; give one axis")
     if flags.dtype == np.bool_:
         return flags
-    # A nullable boolean arrives as objects, an indicator as 0 and 1; anything else is no answer to yes or no.
+    # Nullable booleans arrive as objects, indicators as 0 and 1; anything else is invalid.
     wrong = ~pd.Series(flags).isin([0, 1]).to_numpy(dtype=bool)
     if wrong.any():
         row = int(np.argmax(wrong))
@@ -89,24 +89,24 @@ def _checked_bools(values: ArrayLike, name: str) -> RowMask:
 
 
 LARGEST = 1e75
-"""Covariates of larger size, or all of them smaller than its inverse, cannot be squared twice."""
+"""Covariates of larger size, or all smaller than its inverse, over- or underflow when squared twice."""
 
 
 def checked_covariates(
     covariates: Any, num_rows: int, kind: str, names: list[str] | None = None
 ) -> tuple[Float[np.ndarray, "n p"], list[str]]:
-    """Covariates of trajectories as float64, and what their columns are called.
+    """Covariates of trajectories as float64, and the names of their columns.
 
     Parameters
     ----------
     covariates
-        One row for each trajectory, shape (n, p): array-like, or a pandas or Arrow table, whose names are kept.
+        One row per trajectory, shape (n, p): array-like, or a pandas or Arrow table, whose names are kept.
     num_rows
         Number of trajectories.
     kind
-        The model that asks, for the message.
+        The calling model, for the message.
     names
-        The columns that the model was fitted with; a table is brought into their order. None at the fit.
+        Columns of the fit; a table is reordered to match. None at the fit.
     """
     if covariates is None:
         raise ArgumentError(f"{kind} needs covariates, one row for each trajectory; give them, or use KaplanMeier")
@@ -141,7 +141,7 @@ def checked_covariates(
 
 
 def rows_of(covariates: Any, rows: Int[np.ndarray, " k"], num_trajectories: int) -> Any:
-    """Repeat the covariates of these trajectories, as a table if they came as one."""
+    """Repeat the covariates of these trajectories, as a table if they were one."""
     if covariates is None:
         return None
     known = _known(covariates)
@@ -155,7 +155,7 @@ def rows_of(covariates: Any, rows: Int[np.ndarray, " k"], num_trajectories: int)
 def checked_question(
     u: ArrayLike, covariates: Any, kind: str, names: list[str]
 ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "m p"]]:
-    """Times asked about [s], and a row of covariates for each entry of their first axis, or a single one for all."""
+    """Check the times of a query [s], and the covariates: a row per entry of the first axis, or one row for all."""
     times = checked_times(u)
     is_single = covariates is not None and len(_known(covariates)) == 1
     num_rows = len(times) if times.ndim and not is_single else 1

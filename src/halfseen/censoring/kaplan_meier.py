@@ -26,24 +26,24 @@ from halfseen.shapes import Float, Int
 
 @dataclass(frozen=True)
 class CutOrder:
-    """Trajectories in the order in which they leave, and where each group of cuts stands in it."""
+    """Trajectories in the order in which they leave, and the positions of each group of cuts."""
 
     order: Int[np.ndarray, " n"]
     """Rows of the trajectories, sorted by time, finishes before cuts at equal times."""
     times: Float[np.ndarray, " k"]
     """Distinct times at which trajectories were cut [s]."""
     first: Int[np.ndarray, " k"]
-    """Place in the order of the first trajectory cut at each time; those from it on were still watched."""
+    """Position of the first trajectory cut at each time; those from it on are at risk."""
     num_cuts: Int[np.ndarray, " k"]
     """Number of trajectories cut at each time."""
     group: Int[np.ndarray, " c"]
     """For each cut, the index of its time."""
     place: Int[np.ndarray, " c"]
-    """For each cut, its place among those cut at its time, from 0."""
+    """For each cut, its place among the cuts at its time, from 0."""
 
     @property
     def cuts(self) -> Int[np.ndarray, " c"]:
-        """Place in the order of each cut."""
+        """Position of each cut in the order."""
         return self.first[self.group] + self.place
 
 
@@ -59,11 +59,11 @@ def cut_order(ends: Rows, finished: RowMask) -> CutOrder:
 
 
 class KaplanMeier(Estimator):
-    """Product-limit estimate of the survival function of the censoring time, the same for all trajectories.
+    """Product-limit estimate of the survival function of the censoring time, without covariates.
 
     Ĝ(u⁻) = Π_{s<u} (1 − cuts(s) / (at_risk(s) − finished(s))), where a trajectory that finishes at s leaves before
-    those that are cut at s [KaplanMeier1958]_. Beyond the last observed end Ĝ keeps its last value: 0 when the last
-    trajectories were cut, and otherwise a value that no trajectory speaks for, so ask no further than ``last_time_``.
+    those cut at s [KaplanMeier1958]_. Beyond the last observed end Ĝ keeps its last value: 0 if the last trajectories
+    were cut, and otherwise an extrapolation without data, so do not use it beyond ``last_time_``.
 
     Attributes
     ----------
@@ -76,9 +76,9 @@ class KaplanMeier(Estimator):
     num_cut_ : int
         Number of those that were cut.
     last_time_ : float
-        The last observed end [s]; nothing was seen beyond it.
+        The last observed end [s]; there are no data beyond it.
     tolerance_s_ : float
-        Times that differ by no more count as equal [s]; 0 where no times of the fit do.
+        Times that differ by no more count as equal [s]; 0 if no times of the fit do.
 
     Examples
     --------
@@ -96,7 +96,7 @@ class KaplanMeier(Estimator):
     tolerance_s_: float
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: object = None) -> "KaplanMeier":
-        """Fit the curve, given as in `CensoringModel.fit`; a covariate that changes nothing would be a false promise.
+        """Fit the curve; parameters as in `CensoringModel.fit`, but covariates, which have no effect, are refused.
 
         Raises
         ------
@@ -114,7 +114,7 @@ class KaplanMeier(Estimator):
         return self
 
     def survival(self, u: ArrayLike, covariates: object = None) -> Float[np.ndarray, "..."]:
-        """Ĝ(u⁻) = P(C ≥ u), asked as in `CensoringModel.survival`.
+        """Ĝ(u⁻) = P(C ≥ u); parameters as in `CensoringModel.survival`.
 
         Raises
         ------
@@ -126,7 +126,7 @@ class KaplanMeier(Estimator):
             raise ArgumentError("this KaplanMeier is not fitted; call fit(time, is_finished) first")
         times = checked_times(u)
         levels = np.concatenate(([1.0], self.survival_))
-        # Searching in the order of the times is several times faster than jumping about in a long curve.
+        # Searching in sorted order is several times faster than random access in a long curve.
         order = np.argsort(times, axis=None)
         seen = np.empty(times.size)
         seen[order] = levels[np.searchsorted(self.times_, times.ravel()[order] - self.tolerance_s_, side="left")]

@@ -1,15 +1,15 @@
-"""Kaplan–Meier in a neighbourhood: Beran's conditional product-limit estimate for the censoring time C (design, §2).
+"""Local Kaplan–Meier: Beran's conditional product-limit estimate for the censoring time C (design, §2).
 
-How wide the neighbourhood is, is chosen by the likelihood of trajectories that were held out.
+The bandwidth is chosen by the likelihood of held-out trajectories.
 
 ========  ==============================================================================================
 symbol    here
 ========  ==============================================================================================
 z_i       ``covariates``: row i, in standard deviations
 h         ``bandwidth_``: width of the neighbourhood, in standard deviations
-K_i(z)    kernel weight of trajectory i for the question z: 1 at z_i = z, falling with |z − z_i| / h
+K_i(z)    kernel weight of trajectory i at the query z: 1 at z_i = z, falling with |z − z_i| / h
 s         ``times_``: the distinct times at which trajectories were cut [s]
-Ĝ(u⁻|z)   ``survival(u, z)`` = Π_{s<u} (1 − Σ_i K_i(z) 1{i cut at s} / Σ_i K_i(z) 1{i watched at s})
+Ĝ(u⁻|z)   ``survival(u, z)`` = Π_{s<u} (1 − Σ_i K_i(z) 1{i cut at s} / Σ_i K_i(z) 1{i at risk at s})
 ========  ==============================================================================================
 """
 
@@ -29,12 +29,12 @@ from halfseen.errors import ArgumentError, PositivityError
 from halfseen.estimator import Estimator
 from halfseen.shapes import Float
 
-# In standard deviations; at infinity the covariates say nothing.
+# In standard deviations; at infinity the covariates have no effect.
 BANDWIDTHS = (0.1, 0.18, 0.32, 0.56, 1.0, 1.8, 3.2, np.inf)
 NUM_BINS = 10
-# Held-out trajectories that are asked about, at most: enough to choose among eight widths.
+# Held-out trajectories to evaluate, at most: enough to choose among eight bandwidths.
 MAX_QUESTIONS = 1000
-# Proportion of each forecast that is spread uniformly, so that one improbable cut does not decide alone.
+# Proportion of each predicted distribution that is uniform, so that one improbable cut does not decide alone.
 UNIFORM_PROPORTION = 0.01
 
 
@@ -49,23 +49,23 @@ def cross_validated(
     """Mean log-likelihood of a held-out trajectory for each of `BANDWIDTHS`.
 
     The cut times are coarsened to ten bins (t_b, t_{b+1}] between their quantiles. A trajectory cut in bin b has
-    likelihood Ĝ(t_b) − Ĝ(t_{b+1}) given its covariates, and a trajectory that finished at x has Ĝ(x⁻): the cut comes no
-    sooner. Where cut and finish are independent given the covariates, this is a proper score, and needs no weights.
+    likelihood Ĝ(t_b) − Ĝ(t_{b+1}) given its covariates, and a trajectory that finished at x has Ĝ(x⁻), because its cut
+    would come later. If cut and finish are independent given the covariates, this is a proper score without weights.
 
     Parameters
     ----------
     ends
         Observed end of each trajectory [s].
     finished
-        False where cut; some trajectory is.
+        False if cut; at least one is.
     covariates
         Standardised covariates.
     kernel
         One of `KERNELS`.
     num_folds
-        Folds; each is foretold from the others.
+        Folds; each is predicted from the others.
     rng
-        Deals the trajectories to folds, and draws those that are asked about where there are more than `MAX_QUESTIONS`.
+        Generator that assigns trajectories to folds, and samples them if there are more than `MAX_QUESTIONS`.
     """
     fold = rng.permutation(np.arange(len(ends)) % num_folds)
     asked = np.zeros(len(ends), dtype=bool)
@@ -91,7 +91,7 @@ def _edges(cut_ends: Rows) -> Float[np.ndarray, " e"]:
 def _log_likelihood(
     after_edges: Float[np.ndarray, "m e"], at_end: Rows, ends: Rows, finished: RowMask, edges: Float[np.ndarray, " e"]
 ) -> float:
-    """Sum over trajectories; a forecast that does not exist counts as the even one alone."""
+    """Sum over trajectories; where no prediction exists, only the uniform part counts."""
     num_bins = len(edges) + 1
     one, none = np.ones((len(ends), 1)), np.zeros((len(ends), 1))
     levels = np.concatenate([one, after_edges, none], axis=1)
@@ -103,9 +103,9 @@ def _log_likelihood(
     return float(np.log((1.0 - UNIFORM_PROPORTION) * forecast + UNIFORM_PROPORTION * even).sum())
 
 
-# Floats in one block of questions × trajectories: 32 MB.
+# Floats in one block of queries × trajectories: 32 MB.
 BLOCK_SIZE = 4_000_000
-# Beyond this many bandwidths a trajectory says nothing: exp(−8²/2) is 1e-14.
+# A trajectory farther away than this many bandwidths has no effect: exp(−8²/2) is 1e-14.
 GAUSSIAN_REACH = 8.0
 
 
@@ -123,7 +123,7 @@ class LocalCurve:
     covariates: Float[np.ndarray, "n p"]
     """Standardised covariates of the trajectories, in that order."""
     trajectories: CutOrder
-    """The order, and where the cuts stand in it."""
+    """The order, and the positions of the cuts."""
 
     @classmethod
     def of_trajectories(cls, ends: Rows, finished: RowMask, covariates: Float[np.ndarray, "n p"]) -> "LocalCurve":
@@ -139,7 +139,7 @@ class LocalCurve:
     def survival(
         self, u: Float[np.ndarray, "m q"], covariates: Float[np.ndarray, "m p"], bandwidth: float, kernel: str
     ) -> Float[np.ndarray, "m q"]:
-        """Ĝ(u⁻ | z), NaN where nobody near z was watched at some cut before u."""
+        """Ĝ(u⁻ | z); NaN if no trajectory near z was at risk at some cut before u."""
         distinct, question = np.unique(covariates, axis=0, return_inverse=True)
         question = question.reshape(-1)
         step = np.searchsorted(self.times, u, side="left")
@@ -153,7 +153,7 @@ class LocalCurve:
         return seen
 
     def _levels(self, covariates: Float[np.ndarray, "b p"], bandwidth: float, kernel: str) -> Float[np.ndarray, "b K"]:
-        """Ĝ before the first cut and after each, one row for each question."""
+        """Ĝ before the first cut and after each, one row per query."""
         trajectories = self.trajectories
         ones = np.ones((len(covariates), 1))
         if len(trajectories.times) == 0:
@@ -162,7 +162,7 @@ class LocalCurve:
 
         with np.errstate(over="ignore"):
             near = KERNELS[kernel](np.square(cdist(covariates, self.covariates) / bandwidth))
-        # One column more: nobody is left after the last trajectory.
+        # One extra column: the risk set after the last trajectory is empty.
         watched = np.pad(np.cumsum(near[:, ::-1], axis=1)[:, ::-1], ((0, 0), (0, 1)))
         before, after = watched[:, trajectories.first], watched[:, trajectories.first + trajectories.num_cuts]
         stays = np.divide(after, before, out=np.full(before.shape, np.nan), where=before > 0)
@@ -176,32 +176,32 @@ def _blocks(num_questions: int, num_trajectories: int) -> Iterator[slice]:
 
 
 class KernelKaplanMeier(Estimator):
-    """Product-limit estimate among the trajectories that are like the one asked about [Beran1981]_.
+    """Product-limit estimate among the trajectories with similar covariates [Beran1981]_.
 
-    A trajectory that finishes at s leaves before those that are cut at s. As the bandwidth grows, Ĝ becomes
-    `KaplanMeier`'s; at infinity it is the same. A question near which nobody is watched any more when others are cut
-    has no answer, and is refused rather than answered from afar.
+    A trajectory that finishes at s leaves before those cut at s. As the bandwidth grows, Ĝ approaches `KaplanMeier`'s;
+    at infinity they are equal. A query is refused, rather than extrapolated, if no trajectory near it is at risk at
+    some cut.
 
     Parameters
     ----------
     bandwidth
-        Width of the neighbourhood in standard deviations of the covariates, > 0; or ``"cv"``, which chooses among
+        Width of the neighbourhood in standard deviations of the covariates, > 0; or ``"cv"`` to choose among
         `BANDWIDTHS` by the likelihood of held-out trajectories (see `cross_validated`).
     kernel
         ``"gaussian"``: exp(−d²/2) for a distance of d bandwidths, and 0 beyond 8; ``"epanechnikov"``: 1 − d² within 1.
     num_folds
         Folds of the cross-validation.
     random_state
-        Seed, or a Generator, that deals the trajectories to folds.
+        Seed or Generator that assigns trajectories to folds.
 
     Attributes
     ----------
     bandwidth_ : float
         The bandwidth in use, in standard deviations.
     cv_scores_ : dict of float to float
-        Mean log-likelihood of a held-out trajectory for each bandwidth that was tried; empty if one was given.
+        Mean log-likelihood of a held-out trajectory for each bandwidth tried; empty if one was given.
     covariates_ : list of str
-        What the columns are called.
+        Names of the columns.
     times_ : Float[ndarray, "k"]
         Distinct times at which trajectories were cut [s], increasing.
     num_trajectories_ : int
@@ -209,13 +209,13 @@ class KernelKaplanMeier(Estimator):
     num_cut_ : int
         Number of those that were cut.
     last_time_ : float
-        The last observed end [s]; nothing was seen beyond it.
+        The last observed end [s]; there are no data beyond it.
     tolerance_s_ : float
-        Times that differ by no more count as equal [s]; 0 where no times of the fit do.
+        Times that differ by no more count as equal [s]; 0 if no times of the fit do.
 
     Notes
     -----
-    Each question costs O(n), so the weights of n trajectories cost O(n²); memory stays bounded.
+    Each query costs O(n), so the weights of n trajectories cost O(n²); memory stays bounded.
 
     Examples
     --------
@@ -249,13 +249,13 @@ class KernelKaplanMeier(Estimator):
         self.random_state = random_state
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: Any = None) -> "KernelKaplanMeier":
-        """Keep the trajectories, and choose the bandwidth; given as in `CensoringModel.fit`.
+        """Store the trajectories and choose the bandwidth; parameters as in `CensoringModel.fit`.
 
         Raises
         ------
         ArgumentError
-            A time is not finite and positive, the lengths differ, a covariate is missing or constant, or a parameter
-            has a value that it cannot take.
+            A time is not finite and positive, the lengths differ, a covariate is missing or constant, or a parameter is
+            invalid.
         """
         self._check_parameters()
         ends, finished = checked_ends(time, is_finished)
@@ -275,14 +275,14 @@ class KernelKaplanMeier(Estimator):
         return self
 
     def survival(self, u: ArrayLike, covariates: Any = None) -> Float[np.ndarray, "..."]:
-        """Ĝ(u⁻ | z) = P(C ≥ u | z), asked as in `CensoringModel.survival`.
+        """Ĝ(u⁻ | z) = P(C ≥ u | z); parameters as in `CensoringModel.survival`.
 
         Raises
         ------
         ArgumentError
             The model is not fitted, a time is NaN, or the covariates do not match.
         PositivityError
-            Some trajectory was cut before u, and none near z was still watched then.
+            A trajectory was cut before u, and none near z was still at risk then.
         """
         if not hasattr(self, "times_"):
             raise ArgumentError("this KernelKaplanMeier is not fitted; call fit(time, is_finished, covariates) first")
@@ -307,7 +307,7 @@ class KernelKaplanMeier(Estimator):
         return cross_validated(ends, finished, scaled, self.kernel, num_folds, np.random.default_rng(seed))
 
     def _chosen(self) -> float:
-        """Choose the widest of the best bandwidths; where no trajectory was cut, any will do."""
+        """Choose the largest of the best bandwidths; if no trajectory was cut, all are equal."""
         if self.bandwidth != "cv":
             return float(self.bandwidth)
         if not self.cv_scores_:

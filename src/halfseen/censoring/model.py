@@ -1,4 +1,4 @@
-"""What a censoring model is: what tells P(C ≥ u | z), once fitted to the ends of trajectories; and models by name."""
+"""The protocol of censoring models, which estimate P(C ≥ u | z) from the ends of trajectories; and models by name."""
 
 from copy import deepcopy
 from types import NoneType
@@ -20,9 +20,9 @@ class CensoringModel(Protocol):
 
     C is itself right-censored, by the trajectory's own end. At equal times completions come before cuts.
 
-    A model that was fitted has an attribute whose name ends in ``_``, as in scikit-learn; one without is fitted, on a
-    copy, by anyone who needs it. A model that conditions on covariates says ``uses_covariates = True``; one that does
-    not say so is taken not to (`uses_covariates`).
+    A fitted model has an attribute whose name ends in ``_``, as in scikit-learn; a model without one is copied and
+    fitted by its caller. A model that conditions on covariates has ``uses_covariates = True``; the default is False
+    (`uses_covariates`).
     """
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: Any = None) -> "CensoringModel":
@@ -33,10 +33,10 @@ class CensoringModel(Protocol):
         time
             Observed end of each trajectory [s], finite and positive, shape (n,).
         is_finished
-            False where the trajectory was cut, shape (n,).
+            False if the trajectory was cut, shape (n,).
         covariates
-            What the model conditions on, one row for each trajectory, shape (n, p): array-like, or a table, whose names
-            are kept for messages. None for a model that conditions on nothing.
+            Covariates to condition on, one row per trajectory, shape (n, p): array-like, or a table, whose names are
+            kept for messages. None for a model without covariates.
         """
         ...
 
@@ -46,7 +46,7 @@ class CensoringModel(Protocol):
         Parameters
         ----------
         u
-            Times asked about [s], any shape.
+            Times of the query [s], any shape.
         covariates
             One row for each entry of the first axis of `u`, or a single row for all of `u`; columns as in the fit.
 
@@ -59,7 +59,7 @@ class CensoringModel(Protocol):
 
 
 def is_fitted(model: Any) -> bool:
-    """Tell whether a model, or any estimator, was fitted, as scikit-learn does: by an attribute that ends in ``_``."""
+    """Whether a model, or any estimator, is fitted, as in scikit-learn: it has an attribute that ends in ``_``."""
     own_word = getattr(model, "__sklearn_is_fitted__", None)
     if own_word is not None:
         return bool(own_word())
@@ -67,27 +67,27 @@ def is_fitted(model: Any) -> bool:
 
 
 def uses_covariates(model: CensoringModel) -> bool:
-    """Tell whether a model conditions on covariates; a model that does not say so does not."""
+    """Whether a model conditions on covariates; False by default."""
     return bool(getattr(model, "uses_covariates", False))
 
 
 MODELS = {"kaplan-meier": KaplanMeier, "cox": Cox, "kernel": KernelKaplanMeier}
 CENSORING_NAMES = tuple(MODELS)
-"""Names that `named_model` takes."""
+"""Names that `named_model` accepts."""
 
 
 def named_model(censoring: str | CensoringModel) -> CensoringModel:
-    """Make a model of one's own to fit.
+    """Make an independent model to fit.
 
     Parameters
     ----------
     censoring
-        ``"kaplan-meier"``, ``"cox"`` or ``"kernel"``; or a model, which is copied, with what it was fitted to.
+        ``"kaplan-meier"``, ``"cox"`` or ``"kernel"``; or a model, which is copied, including its fit.
 
     Raises
     ------
     ArgumentError
-        There is no such name, or the object is no model.
+        The name does not exist, or the object is not a model.
     """
     if isinstance(censoring, str) and censoring in MODELS:
         return MODELS[censoring]()
@@ -100,7 +100,7 @@ def named_model(censoring: str | CensoringModel) -> CensoringModel:
 def fitted_model(
     model: str | CensoringModel | None, time: ArrayLike, is_finished: ArrayLike, covariates: Any
 ) -> CensoringModel:
-    """Take a fitted model as it is; fit a name (None for Kaplan–Meier), or a copy of an unfitted model."""
+    """Return a fitted model as it is; fit a named one (None for Kaplan–Meier), or a copy of an unfitted one."""
     if not isinstance(model, (str, type, NoneType)) and is_fitted(model):
         return model
     return named_model("kaplan-meier" if model is None else model).fit(time, is_finished, covariates)

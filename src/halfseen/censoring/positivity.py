@@ -1,6 +1,6 @@
-"""The positivity report: from trajectories and a censoring model to numbers, told in words or drawn.
+"""The positivity report of trajectories and a censoring model, as text or as a figure.
 
-The figure shows the weights over time, and what bounding them would change.
+The figure shows the weights over time, and the effect of truncating them.
 """
 
 import textwrap
@@ -28,44 +28,44 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 else:
-    Axes = Figure = Any  # matplotlib is optional, and takes long to load.
+    Axes = Figure = Any  # matplotlib is optional, and slow to import.
 
 NUM_HEAVIEST = 5
 NUM_BOUNDS = 7
 TAIL_SHARE = 0.25
-# A bound to start from where the weights themselves have none.
+# First bound of the grid if some weight is infinite.
 UNIDENTIFIED_BOUND = 100.0
 INK, FAINT, TAIL_COLOUR = "#222222", "#8a8a8a", "#f3e3d3"
 # Okabe and Ito (2008).
 WEIGHT_COLOUR, CUT_COLOUR = "#0072B2", "#D55E00"
 CUT_INK = "#a84a00"
-"""The same for letters, which need more contrast."""
+"""A darker shade for text, which needs more contrast."""
 SIZE_INCHES = (12.0, 4.2)
 PANEL_INCHES, TALL_INCHES = (4.1, 3.25), (4.1, 6.75)
-"""Of one panel alone; the weights over time have more to show."""
+"""Of a single panel; the weights over time need more height."""
 PANEL_TITLE_CHARS = 46
 
 
 class PositivityReport(PositivityFacts):
-    """What weights rest on, with the numbers of `PositivityFacts`; print it, or `plot` it."""
+    """Diagnostics of the support of weights (see `PositivityFacts`); print it, or `plot` it."""
 
     def __str__(self) -> str:
         return text(self)
 
     @property
     def panels(self) -> tuple[str, ...]:
-        """Names of the panels of its figure that have something to show; none where no trajectory finished."""
+        """Names of the panels of its figure that have content; none if no trajectory finished."""
         if not self.num_finished:
             return ()
         return ("weights", "means", "sizes") if self.truncations else ("weights",)
 
     def plot(self, panel: str | None = None) -> "Figure":
-        """Draw the weights over time, and what bounding them would change, as a matplotlib figure.
+        """Draw the weights over time, and the effect of truncating them, as a matplotlib figure.
 
         Parameters
         ----------
         panel
-            One of `panels`, to be drawn alone for where there is little room; None for all of them side by side.
+            One of `panels`, to draw alone in a small space; None for all of them side by side.
         """
         return _draw(self) if panel is None else _draw_panel(self, panel)
 
@@ -81,7 +81,7 @@ def positivity_report(
     target_name: str = "target",
     truncate_at: float | int | None = None,
 ) -> PositivityReport:
-    """Report what the weights of these trajectories rest on; unlike the weights, it also answers where they have none.
+    """Report the support of the weights of these trajectories, even if some weights are not identified.
 
     The weighted mean at a grid of bounds follows [ColeHernan2008]_.
 
@@ -90,25 +90,24 @@ def positivity_report(
     time
         Observed end of each trajectory [s], shape (n,).
     is_finished
-        False where the trajectory was cut, shape (n,).
+        False if the trajectory was cut, shape (n,).
     model
         As in `censoring_weights`: fitted, or a name or an unfitted model that is fitted to these trajectories.
     covariates
-        What `model` conditions on, one row for each trajectory.
+        Covariates of `model`, one row per trajectory.
     trajectory_ids
         Names of the trajectories; their rows by default.
     target
-        The quantity whose mean is wanted, one value for each trajectory, NaN where it was cut; the time to finish by
-        default.
+        The quantity to average, one value per trajectory, NaN if it was cut; by default the time to finish.
     target_name
-        What it is called, with its unit.
+        Its name, with its unit.
     truncate_at
-        The bound on the weights that is to be judged; None bounds nothing.
+        The bound on the weights to assess; None for no bound.
 
     Raises
     ------
     ArgumentError
-        A value is none that a trajectory can have; the row is named.
+        A value is invalid; the message names the row.
 
     Examples
     --------
@@ -129,7 +128,7 @@ def positivity_report(
     last_s = min(float(ends.max()), float(getattr(model, "last_time_", np.inf)))
     until_s = min(last_s, float(ends[rows][np.isinf(weights)].min(initial=np.inf)))
     in_use = np.zeros(len(ends))
-    # Without a bound the trajectories that have no weight stand outside; the report says so first.
+    # Without a bound, trajectories without a weight are omitted; the report states this first.
     in_use[rows] = np.where(np.isinf(weights), 0.0, weights) if bound is None else np.minimum(weights, bound)
     tail_from_s = float(np.quantile(ends[rows], 1 - TAIL_SHARE, method="higher")) if len(rows) else np.nan
     order, num_unidentified = np.lexsort((ends[rows], -weights)), int(np.isinf(weights).sum())
@@ -178,7 +177,7 @@ def _truncations(weights: Float[np.ndarray, " f"], values: Float[np.ndarray, " f
     is_identified = bool(np.isfinite(weights).all())
     largest = float(weights.max()) if is_identified else UNIDENTIFIED_BOUND
     unbounded: list[float | None] = [None] if is_identified else [largest]
-    # Where all weights are 1, no bound changes anything.
+    # If all weights are 1, no bound has an effect.
     bounds = np.geomspace(largest, 1.0, NUM_BOUNDS)[1:].tolist() if largest > 1 else []
     found = []
     for bound in unbounded + bounds:
@@ -203,7 +202,7 @@ def _draw(facts: PositivityFacts) -> Figure:
 
 
 def _draw_panel(facts: PositivityFacts, panel: str) -> Figure:
-    """Draw one of the panels as a figure of its own, whose letters stay legible where it is narrow."""
+    """Draw one of the panels as a separate figure, with text that stays legible at small width."""
     figure = _empty_figure(TALL_INCHES if panel == "weights" else PANEL_INCHES)
     axes = figure.subplots()
     {"weights": _draw_weights, "means": _draw_means, "sizes": _draw_size}[panel](axes, facts, PANEL_TITLE_CHARS)
@@ -229,7 +228,7 @@ def _trim(panels: Sequence[Axes], size: float) -> None:
 
 
 def _draw_weights(axes: Axes, facts: PositivityFacts, title_chars: int = 66) -> None:
-    """Draw each finish at its weight, and each cut below."""
+    """Draw each finish at its weight, and each cut at the bottom."""
     is_finite = np.isfinite(facts.weights)
     time_s, weight = facts.finish_s[is_finite], facts.weights[is_finite]
     if facts.num_finished:
@@ -240,7 +239,7 @@ def _draw_weights(axes: Axes, facts: PositivityFacts, title_chars: int = 66) -> 
     if len(weight) and weight.max() > 10:
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    # Below the smallest weight, which is 1, there is room for the cuts.
+    # The cuts fit below the smallest weight, which is 1.
     low = 0.75
     if len(facts.cut_s):
         axes.plot(facts.cut_s, np.full(len(facts.cut_s), low), "|", ms=7, mew=0.8, color=CUT_COLOUR, label="cut")
@@ -309,7 +308,7 @@ def _draw_size(axes: Axes, facts: PositivityFacts, title_chars: int = 42) -> Non
 
 
 def _bounds(facts: PositivityFacts) -> list[float]:
-    """Where on the axis each truncation stands: no bound stands at the largest weight, where it begins to bite."""
+    """Position of each truncation on the axis: no bound is placed at the largest weight, where truncation begins."""
     largest = facts.heaviest[0].weight if facts.heaviest else 1.0
     return [largest if row.truncate_at is None else row.truncate_at for row in facts.truncations]
 

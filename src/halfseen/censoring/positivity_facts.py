@@ -1,6 +1,6 @@
-"""How far the logs support their weights: what is identified, who carries it, and what truncation would change.
+"""How far the logs support their weights: what is identified, which weights dominate, and the effect of truncation.
 
-The positivity report in words: the verdict first, then what it rests on.
+The positivity report in words: the verdict first, then the evidence.
 """
 
 from dataclasses import dataclass
@@ -13,78 +13,79 @@ from halfseen.shapes import Float
 from halfseen.text_table import aligned
 
 MEAN_WEIGHT_MARGIN = 0.1
-"""Weights whose mean is this far from 1 do not stand for all trajectories."""
+"""Weights whose mean differs from 1 by more than this do not represent all trajectories."""
 
 
 @dataclass(frozen=True)
 class WeightedTrajectory:
-    """One trajectory that finished, and its weight."""
+    """A trajectory that finished, and its weight."""
 
     trajectory: Any
     """Its name."""
     time_s: float
     """When it finished [s]."""
     weight: float
-    """1/Ĝ(time⁻), infinite where Ĝ is 0."""
+    """1/Ĝ(time⁻); infinite if Ĝ is 0."""
 
 
 @dataclass(frozen=True)
 class Truncation:
-    """What is left when the weights are bounded."""
+    """The result of truncating the weights."""
 
     truncate_at: float | None
-    """The bound; None for none."""
+    """The bound; None for no bound."""
     mean: float
     """Σ w y / Σ w over the trajectories that finished: the weighted mean of the quantity."""
     effective_sample_size: float
     """(Σ w)² / Σ w²."""
     share_removed: float | None
-    """Proportion of Σ w that the bound takes away, in [0, 1]; None where a weight has no end."""
+    """Proportion of Σ w that the bound removes, in [0, 1]; None if a weight is infinite."""
 
 
 @dataclass(frozen=True, eq=False)
 class PositivityFacts:
-    """What weights rest on, in numbers.
+    """Diagnostics of the support of the weights, in numbers.
 
     Parameters
     ----------
     num_trajectories
         Number of trajectories.
     num_finished
-        Number of those that reached their own end; the rest were cut.
+        Number of trajectories that finished; the others were cut.
     overall
-        Diagnostics of the weights as they are used (bounded, if a bound was given).
+        Diagnostics of the weights in use (truncated, if a bound was given).
     tail
-        The same for the tail alone: the trajectories that finished at `tail_from_s` or later.
+        The same for the tail: the trajectories that finished at `tail_from_s` or later.
     tail_from_s
-        The time from which the last quarter of the observed finishes lies [s]; NaN where none finished.
+        The time after which the last quarter of the observed finishes lies [s]; NaN if none finished.
     heaviest
-        The five largest weights, or fewer, before any truncation, and whose they are.
+        The five largest weights, or fewer, before truncation, with their trajectories.
     unidentified
-        Trajectories that finished where Ĝ is 0: without truncation they have no weight.
+        Trajectories that finished where Ĝ is 0: they have no weight without truncation.
     identified_until_s
-        The last observed end, of these trajectories or of those that the model was fitted to, whichever comes first
-        [s]; earlier if Ĝ is 0 at an observed finish. Nothing is known of finishes later than this.
+        The last observed end of these trajectories or of those of the fit, whichever is earlier [s]; earlier still if Ĝ
+        is 0 at an observed finish. Later finishes are not identified.
     num_extrapolated
-        Number of trajectories that finished later than `identified_until_s` with Ĝ above 0: the model answers for them
-        without having seen anyone so late.
+        Number of trajectories that finished later than `identified_until_s` with Ĝ above 0, for which the model
+        extrapolates.
     ends_in_cut
-        True where the last observed end is a cut, so that some trajectories would have finished later than any did.
+        True if the last observed end is a cut, so that some trajectories would have finished later than any that did.
     mean_weight
-        Σ w / n. Near 1 if the model is right and every finish could be seen; for Kaplan–Meier on its own trajectories
-        it is exactly the estimated probability to finish by `identified_until_s` [SattenDatta2001]_.
+        Σ w / n. Near 1 if the model is right and every finish can be observed; for Kaplan–Meier on its own trajectories
+        it equals the estimated probability of finishing by `identified_until_s` [SattenDatta2001]_.
     truncations
-        The weighted mean at a grid of bounds, from none (where all is identified) down to 1, which is no weighting.
+        The weighted mean at a grid of bounds, from none (if all weights are identified) down to 1, which is no
+        weighting.
     quantity
-        What the mean is of.
+        Name of the quantity that is averaged.
     truncate_at
         The bound in use, if any.
     finish_s
-        When each trajectory that finished did so [s].
+        Finish time of each trajectory that finished [s].
     weights
-        Its weight before truncation, infinite where Ĝ is 0.
+        Its weight before truncation; infinite if Ĝ is 0.
     cut_s
-        When each cut trajectory was cut [s].
+        Cut time of each cut trajectory [s].
     """
 
     num_trajectories: int
@@ -107,7 +108,7 @@ class PositivityFacts:
 
     @property
     def is_sound(self) -> bool:
-        """True where every finish has a weight, weights and tail are effective enough, and the weights add up."""
+        """Whether every finish has a weight, weights and tail are effective enough, and the mean weight is near 1."""
         return (
             not self.has_gap
             and self.overall.effective_sample_size >= FEWEST_EFFECTIVE
@@ -117,17 +118,17 @@ class PositivityFacts:
 
     @property
     def has_gap(self) -> bool:
-        """True where some finish is left without a weight."""
+        """Whether some finish has no weight."""
         return bool(self.unidentified) and self.truncate_at is None
 
     @property
     def is_off(self) -> bool:
-        """True where unbounded weights add up to less or more than the trajectories, within a tenth."""
+        """Whether the mean of the untruncated weights differs from 1 by more than a tenth."""
         return self.truncate_at is None and abs(self.mean_weight - 1.0) > MEAN_WEIGHT_MARGIN
 
     @property
     def is_thin(self) -> bool:
-        """True where the tail's effective sample size is below 10, and below half of its trajectories."""
+        """Whether the tail's effective sample size is below 10 and below half the number of its trajectories."""
         return self.tail.effective_sample_size < min(FEWEST_EFFECTIVE, self.tail.num_seen / 2)
 
 
@@ -142,7 +143,7 @@ def text(facts: PositivityFacts) -> str:
 
 
 def verdict(facts: PositivityFacts) -> str:
-    """Say in one sentence whether the weights can be trusted."""
+    """State in one sentence whether the weights can be trusted."""
     size, tail = facts.overall.effective_sample_size, facts.tail
     if facts.num_finished == 0:
         every = (
@@ -172,7 +173,7 @@ def verdict(facts: PositivityFacts) -> str:
 
 
 def remedy(facts: PositivityFacts) -> str:
-    """Say what to do about it; empty where nothing needs to be done."""
+    """State the remedy; empty if none is needed."""
     if facts.num_finished == 0:
         return "Record until some trajectories finish, or shorten the horizon so that reaching it counts as finished."
     if facts.has_gap:

@@ -1,8 +1,8 @@
-"""What a set of weights leaves of the evidence: its effective sample size, and who carries it.
+"""Diagnostics of weights: the effective sample size, and the largest weight.
 
 Inverse-probability-of-censoring weights (IPCW), w = δ / Ĝ(U⁻), of trajectories and stages (design §2; eqs. 2, 3).
 
-A stage that was completed at U stands for all that would have been completed then, had nothing been cut
+A stage completed at U represents all that would have been completed then without cuts
 [Robins1992]_ [GoldbergKosorok2012]_ [GoldbergKosorok2017]_.
 """
 
@@ -20,7 +20,7 @@ from halfseen.censoring.model import CensoringModel, fitted_model
 from halfseen.errors import ArgumentError, HalfseenWarning, PositivityError
 from halfseen.shapes import Float, Int
 
-# An effective sample size below this carries no average.
+# An effective sample size below this is too small for a mean.
 FEWEST_EFFECTIVE = 10.0
 
 
@@ -31,17 +31,17 @@ class WeightDiagnostics:
     Parameters
     ----------
     num_weights
-        Number of weights, those of cut trajectories included.
+        Number of weights, including those of cut trajectories.
     num_seen
         Number of weights above 0.
     effective_sample_size
-        (Σ w)² / Σ w² [Kish1965]_: that many equal weights would give the same variance; 0 where nothing was seen.
+        (Σ w)² / Σ w² [Kish1965]_: number of equal weights with the same variance; 0 if no weight is positive.
     largest_weight
-        The largest weight; 0 where nothing was seen.
+        The largest weight; 0 if none is positive.
     largest_at
-        Its index, one integer an axis; None where nothing was seen.
+        Its index, one integer per axis; None if none is positive.
     share_truncated
-        Proportion of Σ w that stands on weights at the bound, in [0, 1].
+        Proportion of Σ w carried by weights at the bound, in [0, 1].
     """
 
     num_weights: int
@@ -62,14 +62,14 @@ class WeightDiagnostics:
 
 
 def weight_diagnostics(weights: ArrayLike, truncate_at: float | int | None = None) -> WeightDiagnostics:
-    """Summarise weights as they are used.
+    """Summarise weights.
 
     Parameters
     ----------
     weights
-        Weights ≥ 0 of any shape, 0 where nothing was seen.
+        Weights ≥ 0 of any shape, 0 if not observed.
     truncate_at
-        The bound that the weights were truncated at, if any; weights at the bound count as truncated.
+        The bound at which the weights were truncated, if any; weights at the bound count as truncated.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def weight_diagnostics(weights: ArrayLike, truncate_at: float | int | None = Non
 
 
 class WeightTally:
-    """What is told of weights that come in parts, along their first axis, and were truncated at a bound, if any."""
+    """Running summary of weights that arrive in parts, along their first axis, truncated at a bound, if any."""
 
     def __init__(self, truncate_at: float | int | None = None) -> None:
         self._bound = checked_truncation(truncate_at)
@@ -91,7 +91,7 @@ class WeightTally:
         self._largest_at: tuple[int, ...] | None = None
 
     def add(self, weights: ArrayLike) -> None:
-        """Count the next rows."""
+        """Add the next rows."""
         values = np.asarray(weights, dtype=np.float64)
         wrong = np.argwhere(~((values >= 0) & np.isfinite(values)))
         if len(wrong):
@@ -113,7 +113,7 @@ class WeightTally:
         self.num_rows_seen += int(values.any(axis=tuple(range(1, values.ndim))).sum())
 
     def diagnostics(self) -> WeightDiagnostics:
-        """Summarise what was counted."""
+        """Summarise all rows so far."""
         if not self._num_seen:
             return WeightDiagnostics(self._num_weights, 0, 0.0, 0.0, None, 0.0)
         return WeightDiagnostics(
@@ -127,7 +127,7 @@ class WeightTally:
 
 
 def warn_if_few(diagnostics: WeightDiagnostics, stacklevel: int = 3) -> None:
-    """Warn where the effective sample size is below ten.
+    """Warn if the effective sample size is below ten.
 
     Parameters
     ----------
@@ -159,21 +159,21 @@ def censoring_weights(
     truncate_at: float | int | None = None,
     trajectory_ids: ArrayLike | None = None,
 ) -> Rows:
-    """Weight of each trajectory's own end: is_finished / Ĝ(time⁻ | z).
+    """Weight of the end of each trajectory: is_finished / Ĝ(time⁻ | z).
 
     Parameters
     ----------
     time
         Observed end of each trajectory [s], shape (n,).
     is_finished
-        False where the trajectory was cut, shape (n,).
+        False if the trajectory was cut, shape (n,).
     model
-        A fitted censoring model; or ``"kaplan-meier"`` (None means the same), ``"cox"``, ``"kernel"`` or an unfitted
-        model, which is fitted to these trajectories on a copy.
+        A fitted censoring model; or ``"kaplan-meier"`` (same as None), ``"cox"``, ``"kernel"`` or an unfitted model, of
+        which a copy is fitted to these trajectories.
     covariates
-        What `model` conditions on, one row for each trajectory.
+        Covariates of `model`, one row per trajectory.
     truncate_at
-        Largest weight allowed, ≥ 1; None truncates nothing.
+        Largest weight allowed, ≥ 1; None for no truncation.
     trajectory_ids
         Names of the trajectories for messages; their rows by default.
 
@@ -185,9 +185,9 @@ def censoring_weights(
     Raises
     ------
     PositivityError
-        Ĝ is 0 at an observed end, and no truncation was asked for.
+        Ĝ is 0 at an observed end, and there is no truncation.
     ArgumentError
-        A value is none that a trajectory can have; the row is named.
+        A value is invalid; the message names the row.
     """
     ends, finished = checked_ends(time, is_finished)
     model = fitted_model(model, ends, finished, covariates)
@@ -214,26 +214,26 @@ def stage_weights(
     Parameters
     ----------
     elapsed_s
-        Clock at the end of each stage [s], NaN where the stage was not completed, shape (n, T); 0 where a
-        robot of several decided at the begin, and another at once after it.
+        Clock at the end of each stage [s], NaN if the stage was not completed, shape (n, T); 0 if several robots decide
+        at the start, one right after the other.
     end_s
         Observed end of each trajectory [s], shape (n,).
     is_finished
-        False where the trajectory was cut, shape (n,).
+        False if the trajectory was cut, shape (n,).
     model, truncate_at, covariates, trajectory_ids
         As in `censoring_weights`.
 
     Returns
     -------
     Float[ndarray, "n T"]
-        The weights, 0 where the stage was not completed.
+        The weights, 0 if the stage was not completed.
 
     Raises
     ------
     PositivityError
-        Ĝ is 0 at an observed completion, and no truncation was asked for.
+        Ĝ is 0 at an observed completion, and there is no truncation.
     ArgumentError
-        A value is none that a trajectory can have; the row and the stage are named.
+        A value is invalid; the message names the row and the stage.
     """
     ends, finished = checked_ends(end_s, is_finished, "end_s")
     clock = checked_floats(elapsed_s, "elapsed_s", ndim=2)
@@ -269,12 +269,12 @@ def survival_of_rows(
     rows: Int[np.ndarray, " k"],
     num_trajectories: int,
 ) -> Float[np.ndarray, " k"]:
-    """Ĝ(times⁻ | z) at one time for each of `rows`, which may repeat; covariates has a row for each trajectory."""
+    """Ĝ(times⁻ | z) at one time for each of `rows`, which may repeat; covariates has one row per trajectory."""
     return np.asarray(model.survival(times, rows_of(covariates, rows, num_trajectories)), dtype=np.float64)
 
 
 def _inverse(seen: Float[np.ndarray, " k"], truncate_at: float | int | None, describe: Any) -> Float[np.ndarray, " k"]:
-    """1/Ĝ, bounded; `describe(k)` tells where, what and when entry k was seen."""
+    """1/Ĝ, truncated; `describe(k)` gives place, event and time of entry k."""
     bound = checked_truncation(truncate_at)
     refuse_improbable(seen, describe)
     unseen = seen == 0
@@ -291,7 +291,7 @@ def _inverse(seen: Float[np.ndarray, " k"], truncate_at: float | int | None, des
 
 
 def refuse_improbable(seen: Float[np.ndarray, " k"], describe: Any) -> None:
-    """Refuse what a censoring model gives as a probability and is none; `describe(k)` tells where, what and when."""
+    """Refuse values of a censoring model that are not probabilities; `describe(k)` gives place, event and time."""
     wrong = ~((seen >= 0) & (seen <= 1))
     if wrong.any():
         k = int(np.argmax(wrong))

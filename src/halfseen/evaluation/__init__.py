@@ -1,10 +1,10 @@
 """The value of a policy before it runs: off-policy evaluation on logs of which trajectories were right-censored.
 
-Read it down: `targets` (what the policy would do, and what it is compared with) → `specification` (what is decided, and
-how Q and the cuts are modelled) → `weights` (what each trajectory stands for, and the doubly robust value), `marginal`
+The modules, in order: `targets` (the policy's probabilities, and its baselines) → `specification` (the task, and the
+models of Q and of the cuts) → `weights` (importance weights of trajectories, and the doubly robust value), `marginal`
 (the same by states) → `problem` (one log, one policy) → `logging_rule` (the logging policy without its exploration) →
-`comparison` → `verdict`; `off_policy` puts them together, and `held_out` judges a way of learning by the log that was
-learned from.
+`comparison` → `verdict`. `off_policy` combines them; `held_out` evaluates a way of learning by the log that was used
+for learning.
 """
 
 from typing import TYPE_CHECKING

@@ -1,21 +1,19 @@
-"""A policy beside each of its baselines, by paired differences, and one verdict over all of them.
+"""A policy against each of its baselines, by paired differences, and one verdict over all of them.
 
-What a trajectory adds to the value of the policy and what it adds to that of a baseline share its luck, so their
-difference trajectory by trajectory has a much narrower interval than the two values.
+The contributions of a trajectory to the value of the policy and to that of a baseline share its noise, so their paired
+difference has a much narrower interval than the two values.
 
-*Better than all* is an intersection–union test [Berger1982]_: each of the paired differences has to be significant at
-the level itself, and no correction is due, for the claim is wrong only if one of them is, which errs at the level. So
-the strongest baseline may be found on the same log. What is said of each baseline alone is another matter: of several
-true nulls one may look false by chance. Those verdicts rest on p-values that are adjusted by Hochberg's step-up
-[Hochberg1988]_: its first step is that very test, so the two cannot contradict each other. For two baselines
-it holds whatever the correlation of two normal differences; for more it needs one that is not negative, and the luck of
-the policy, which all differences share, makes for that.
+*Better than all* is an intersection–union test [Berger1982]_: each of the paired differences must be significant at the
+level itself. No correction is needed, because the claim is false only if one of them is false, and that test errs at
+the level. So the strongest baseline may be identified on the same log. Verdicts on single baselines are different:
+among several true nulls one may be rejected by chance. These verdicts use p-values adjusted by Hochberg's step-up
+procedure [Hochberg1988]_. Its first step is the intersection–union test, so the two cannot contradict each other. With
+two baselines it is valid for any correlation of two normal differences; with more it needs non-negative correlations,
+which the noise of the policy, common to all differences, induces.
 
-A mean as a multiple of another to which the same trajectories add, with its interval by the delta method.
-
-With φ_i and ψ_i what trajectory i adds to the two, and r = φ̄/ψ̄, what it adds to the quotient is r + (φ_i − r ψ_i)/ψ̄:
-a paired difference, so that what moves both (the luck of a trajectory) moves the quotient little. The jackknife
-divides, too.
+A ratio of two means over the same trajectories has an interval by the delta method. With φ_i and ψ_i the contributions
+of trajectory i to the two means, and r = φ̄/ψ̄, its contribution to the ratio is r + (φ_i − r ψ_i)/ψ̄. This is a paired
+difference, so noise common to both has little effect on the ratio. The jackknife takes ratios, too.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,39 +27,39 @@ from halfseen.evaluation.verdict import Needed, Verdict, needed, undone_at, verd
 from halfseen.shapes import Float
 
 WRONG_BY = 0.5
-"""Standard deviations (of targets about Q) by which the regression of cut stages may be wrong where no weight corrects
-it, where two policies meet the same mistake; and Q where weights were cut off, where each policy makes its own. Our
-choice, made on logs of the cell that `benchmarks/verdicts.py` has not."""
+"""Assumed error, in standard deviations (of targets about Q), of the regression of cut stages where no weight corrects
+it, which two policies share; and of Q where weights were truncated, which each policy has separately. Our choice, made
+on logs of the cell that are not in `benchmarks/verdicts.py`."""
 
 
 class Contender(NamedTuple):
-    """What a log knows of what a policy earns."""
+    """Evidence of a log on the value of a policy."""
 
     name: str
     values: Float[np.ndarray, " n"] | None = None
-    """What each trajectory adds to it; None where the log has no such action."""
+    """Contribution of each trajectory; None if the log does not have such an action."""
     without: Float[np.ndarray, " K"] | None = None
     """The same value without each fold."""
     errors: Float[np.ndarray, "n T"] | None = None
-    """What 1/Ĝ of each completed stage is multiplied by in it."""
+    """Factor of 1/Ĝ of each completed stage in the value."""
     uncorrected: float = 0.0
-    """What it is off by for each standard deviation that the regression of cut stages is [reward]."""
+    """Bias per standard deviation of error of the regression of cut stages [reward]."""
     truncated: float = 0.0
-    """The same for each one that Q is, where weights were cut off."""
+    """Bias per standard deviation of error of Q where weights were truncated [reward]."""
     possible: Possible | None = None
-    """What a trajectory can earn at all."""
+    """Range of possible returns."""
     by_model: float = np.nan
-    """What Q alone says."""
+    """Value by Q alone."""
     weights: Float[np.ndarray, "n T"] | None = None
     """Of the stages, with mean 1."""
     deviation: float = 0.0
     """Standard deviation of the targets of stages about Q [reward]."""
     effective_sample_size: float = 0.0
     why_unknown: str | None = None
-    """Why nothing is to be believed, if so."""
+    """Why the value is unknown, if it is."""
 
     def estimate(self, level: float) -> Estimate:
-        """What it earns."""
+        """Its value."""
         assert self.values is not None
         bias = WRONG_BY * (abs(self.uncorrected) + self.truncated)
         least = 0.0 if self.weights is None else _error_of_alike(self.weights, self.deviation)
@@ -69,13 +67,13 @@ class Contender(NamedTuple):
         return found if self.possible is None else within(found, *self.possible)
 
     def alike_less(self, other: "Contender") -> float:
-        """Standard error of that, were all residuals alike; 0 where weights are not known."""
+        """Standard error of the difference if all residuals were of equal size; 0 if weights are not known."""
         if self.weights is None or other.weights is None:
             return 0.0
         return _error_of_alike(self.weights - other.weights, max(self.deviation, other.deviation))
 
     def less(self, other: "Contender", level: float) -> Estimate:
-        """How much more it earns than another, trajectory by trajectory."""
+        """Its value minus that of another, by paired differences."""
         assert self.values is not None
         assert other.values is not None
         size = min(self.effective_sample_size, other.effective_sample_size)
@@ -89,9 +87,10 @@ class Contender(NamedTuple):
 
 
 def _error_of_alike(weights: Float[np.ndarray, "n T"], deviation: float) -> float:
-    """Standard error of a weighted sum of residuals, were all as large: it does not hang on those of a few stages.
+    """Standard error of a weighted sum of residuals of equal size, so it does not depend on those of a few stages.
 
-    Where few stages weigh much, theirs may be small by chance, and just then their scatter says too little.
+    If few stages have large weights, their residuals may be small by chance, and then their scatter underestimates the
+    error.
     """
     return deviation * float(np.sqrt((weights**2).sum())) / len(weights)
 
@@ -101,32 +100,32 @@ SEVERITY: dict[Verdict, int] = {"not better": 0, "inconclusive": 1, "better": 2}
 
 @dataclass(frozen=True)
 class Comparison:
-    """A policy against one baseline.
+    """A policy compared with one baseline.
 
     Parameters
     ----------
     baseline
-        In plain words.
+        Its name in plain words.
     value
-        What it earns, doubly robust; None where the log has no such action.
+        Its value, doubly robust; None if the log does not have such an action.
     difference
-        Value of the policy less that of the baseline, trajectory by trajectory; None where that of the baseline is.
+        Value of the policy minus that of the baseline, by paired differences; None if `value` is.
     p
-        Of the difference being 0, two-sided; None where no interval is to be believed.
+        Two-sided p-value of a difference of 0; None if no interval is valid.
     adjusted_p
-        The same among all baselines (Hochberg).
+        The same, adjusted for the number of baselines (Hochberg).
     verdict
         ``"better"``, ``"not better"`` or ``"inconclusive"``, by the adjusted p-value.
     reason
-        Why, in one sentence.
+        The reason, in one sentence.
     gamma
-        Γ, how strong an unrecorded cause of cuts would have to be to undo the verdict (see `verdict`); None where
-        there is nothing to undo or nothing was cut.
+        Γ, the strength of an unrecorded cause of cuts that would overturn the verdict (see `verdict`); None if there is
+        nothing to overturn or nothing was cut.
     share
-        What the baseline earns as a multiple of what the logging policy does; None where that is not known to be
-        above 0.
+        Value of the baseline as a multiple of that of the logging policy; None if the latter is not known to be above
+        0.
     needed
-        How many times as many trajectories would decide; None where that is not known.
+        Factor by which the number of trajectories must grow for a decision; None if it is not known.
     """
 
     baseline: str
@@ -148,9 +147,9 @@ def compared(
     excess: Float[np.ndarray, "n T"] | None = None,
     unit: str | None = None,
 ) -> tuple[Comparison, ...]:
-    """Compare a policy with its baselines, at the level of the intervals and of the verdicts.
+    """Compare a policy with its baselines; `level` is that of the intervals and the verdicts.
 
-    `excess` is 1/Ĝ − 1 of each completed stage, 0 elsewhere; None where nothing was cut.
+    `excess` is 1/Ĝ − 1 of each completed stage, 0 elsewhere; None if nothing was cut.
     """
     unknown = [ours.values is None or each.values is None for each in theirs]
     differences = [None if no else ours.less(each, level) for each, no in zip(theirs, unknown, strict=True)]
@@ -164,7 +163,7 @@ def compared(
     for baseline, difference, p_value, adjusted in zip(theirs, differences, p, adjusted_p, strict=True):
         more = gamma = None
         if difference is not None:
-            # The difference that Q alone says, where there is a Q of both.
+            # The difference by Q alone, if both have a Q.
             gain = ours.by_model - baseline.by_model
             more = needed(difference, gain if np.isfinite(gain) else difference.value, level, ours.alike_less(baseline))
         if difference is None or adjusted is None:
@@ -172,7 +171,7 @@ def compared(
             verdict, reason = "inconclusive", why or f"nothing is known of what {baseline.name} earns"
         else:
             verdict, reason = verdict_of(difference, baseline.name, adjusted <= 1.0 - level, unit, more)
-            # Of two policies that do the same there is nothing to be undone.
+            # For two identical policies there is nothing to overturn.
             errors = None if ours.errors is None or baseline.errors is None else ours.errors - baseline.errors
             is_open = verdict == "inconclusive" or difference.standard_error == 0.0
             if excess is not None and excess.any() and errors is not None and not is_open:
@@ -185,7 +184,7 @@ def compared(
 
 
 def hochberg(p: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
-    """Adjusted p-values: of the k-th largest k·p, or that of a larger one if that is less [Hochberg1988]_.
+    """Adjusted p-values: k·p for the k-th largest, or that of a larger one if it is smaller [Hochberg1988]_.
 
     Examples
     --------
@@ -199,7 +198,7 @@ def hochberg(p: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
 
 
 def deciding(comparisons: Sequence[Comparison]) -> Comparison:
-    """The one that the verdict over all rests on: the least favourable, then that of the lowest interval."""
+    """The comparison that decides the joint verdict: the least favourable, then that with the lowest interval."""
 
     def least(comparison: Comparison) -> tuple[int, float]:
         low = -np.inf if comparison.difference is None else comparison.difference.low
@@ -209,7 +208,7 @@ def deciding(comparisons: Sequence[Comparison]) -> Comparison:
 
 
 def joint_reason(comparisons: Sequence[Comparison]) -> str:
-    """Why the verdict over all is what it is, in one sentence that names the baselines."""
+    """Reason of the joint verdict, in one sentence that names the baselines."""
     main = deciding(comparisons)
     beaten = [each for each in comparisons if each is not main and each.verdict == "better"]
     why, semicolon, remedy = main.reason.partition("; ")
@@ -221,17 +220,17 @@ def joint_reason(comparisons: Sequence[Comparison]) -> str:
 
 
 def share_of(policy: Contender, today: Contender, level: float) -> Estimate | None:
-    """What a policy earns as a multiple of what another does; both meet the same mistake of what stands for cuts.
+    """Value of a policy as a multiple of another's; both share the bias of what replaces cuts.
 
-    None where the other's interval holds 0, or what it earns is not above 0.
+    None if the other's interval contains 0 or its value is not above 0.
     """
     return _quotient(policy, today, level, lambda share: abs(policy.uncorrected - share * today.uncorrected))
 
 
 def rate_of(earned: Contender, took: Contender, level: float) -> Estimate | None:
-    """What is earned for each unit of what it took; two regressions stand for cuts, and may both be wrong.
+    """Reward per unit of cost; the regressions of cut stages for both may be biased.
 
-    None where nobody knows that it took anything.
+    None if the cost is not known to be above 0.
     """
     return _quotient(earned, took, level, lambda rate: abs(earned.uncorrected) + abs(rate * took.uncorrected))
 

@@ -1,17 +1,14 @@
-"""Tails of Student's t, and where a function crosses 0.
+"""An estimate with its interval, from the contributions of trajectories.
 
-SciPy has both; loading them takes longer than all else that a verdict on some hundred trajectories needs.
+Tails of Student's t and a root finder are implemented here, because loading SciPy takes longer than the rest of a
+verdict on some hundred trajectories.
 
-A number with its interval, from what each trajectory adds to it.
+The range of possible returns follows from the rewards in a log. Backwards over stages, with R_t over completed stages,
 
-What a trajectory can earn at all, by the rewards that a log saw.
+    M_t = max(max R_t of those with which a trajectory finished, M_{t+1} + max R_t of the others),   M_{T+1} = 0,
 
-Backwards over stages, with R_t over completed stages,
-
-    M_t = max(max R_t of those after which a trajectory had ended, M_{t+1} + max R_t of the others),   M_{T+1} = 0,
-
-and the least alike. No mean of trajectories lies outside, whatever the policy, unless it earns what no stage was seen
-to. So an estimate that does is moved to the nearer end, and no interval reaches beyond.
+and the minimum likewise. The mean return of every policy lies inside, unless it earns rewards that were never observed.
+So an estimate outside is moved to the nearer end, and intervals are clipped to the range.
 """
 
 from collections.abc import Callable
@@ -27,9 +24,9 @@ from halfseen.learning.rows import TrajectoryArrays
 from halfseen.shapes import Float
 
 AS_NORMAL = 1e7
-"""Degrees of freedom from which t is taken for normal, which changes a tail by 1e-7 of its size for |x| < 1."""
+"""Degrees of freedom above which t is treated as normal, which changes a tail by 1e-7 of its size for |x| < 1."""
 RESOLUTION = 1e-13
-"""Relative, of what is found step by step."""
+"""Relative tolerance of iterations."""
 TINY = 1e-300
 
 
@@ -42,7 +39,7 @@ def upper_tail(x: float, freedom: float) -> float:
 
 
 def crossing(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where a function crosses 0 between two ends at which its signs differ, by Ridders' method [Ridders1979]_."""
+    """Root of a function between two points at which its signs differ, by Ridders' method [Ridders1979]_."""
     at_low, at_high, before = function(low), function(high), low
     while True:
         middle = 0.5 * (low + high)
@@ -73,14 +70,14 @@ def _incomplete_beta(freedom: float, squared: float) -> float:
 
 
 def _log_gamma_step(a: float) -> float:
-    """Ln Γ(a + ½) − ln Γ(a), for large a by its asymptotic series, which loses no digits."""
+    """Ln Γ(a + ½) − ln Γ(a), for large a by its asymptotic series, without cancellation."""
     if a < 100.0:
         return lgamma(a + 0.5) - lgamma(a)
     return 0.5 * log(a) - 1.0 / (8.0 * a) + 1.0 / (192.0 * a**3) - 1.0 / (640.0 * a**5)
 
 
 def _fraction(a: float, b: float, z: float) -> float:
-    """The continued fraction of I_z(a, b), by the modified method of Lentz [Lentz1976]_."""
+    """The continued fraction of I_z(a, b), by the modified Lentz method [Lentz1976]_."""
     d = 1.0 / (1.0 - (a + b) * z / (a + 1.0) or TINY)
     c, fraction, n = 1.0, d, 0
     while True:
@@ -96,27 +93,27 @@ def _fraction(a: float, b: float, z: float) -> float:
 
 
 LARGEST_LEVEL = 0.999999
-"""Beyond it an interval speaks of tails that no log shows, and 1 − level of rounding."""
+"""Above it, an interval depends on tails that no log can show, and 1 − level on rounding."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value and how well it is known.
+    """A value and its uncertainty.
 
     Parameters
     ----------
     value
         The estimate, in units of the reward.
     low, high
-        Ends of the interval at the level that was asked for.
+        Ends of the interval at the requested level.
     standard_error
         Of `value`.
     effective_sample_size
-        Trajectories of equal weight that would say as much.
+        Number of trajectories of equal weight with the same information.
     degrees_of_freedom
         Of the t distribution behind the interval.
     bias
-        Bias either way that the interval allows for.
+        Bias, of either sign, that the interval allows for.
     """
 
     value: float
@@ -129,9 +126,9 @@ class Estimate:
 
     @property
     def p_value(self) -> float:
-        """Of the truth being 0, two-sided, whatever the bias; by the same distribution as the interval.
+        """Two-sided p-value of a true value of 0, at the worst bias; by the distribution of the interval.
 
-        1 for an estimate of 0 that nothing can change.
+        1 for an estimate of 0 without uncertainty.
         """
         if self.standard_error == 0.0:
             return float(abs(self.value) <= self.bias)
@@ -146,26 +143,25 @@ def estimate_of(
     bias: float = 0.0,
     least_error: float = 0.0,
 ) -> Estimate:
-    """Mean of what trajectories add, with a t interval of as many degrees of freedom as effective ones, less one.
+    """Mean of the contributions of trajectories, with a t interval of (effective sample size − 1) degrees of freedom.
 
-    Heavy weights make few trajectories carry the mean, and the spread is then known no better than from those few.
-    Where the values without each group of trajectories are known, the interval is no narrower than theirs by the
-    jackknife.
+    With heavy weights few trajectories dominate the mean, and its spread is estimated from those few. If the values
+    without each group of trajectories are known, the standard error is at least that of the jackknife.
 
     Parameters
     ----------
     influence
-        What each trajectory adds; the estimate is the mean.
+        Contribution of each trajectory; the estimate is the mean.
     effective_sample_size
-        Trajectories of equal weight that would say as much.
+        Number of trajectories of equal weight with the same information.
     level
         Of the interval.
     without
-        The value by all but each of K groups of trajectories.
+        The value without each of K groups of trajectories.
     bias
-        To be allowed for, either way.
+        Bias to allow for, of either sign.
     least_error
-        That the standard error is known to be no less than.
+        Lower bound of the standard error.
     """
     value, error = float(np.mean(influence)), float(np.std(influence, ddof=1) / np.sqrt(len(influence)))
     by_trajectories = around(
@@ -191,9 +187,9 @@ def around(
     level: float,
     bias: float = 0.0,
 ) -> Estimate:
-    """A t interval around a value; its standard error has `freedom` degrees of freedom, at least 1.
+    """A t interval around a value whose standard error has `freedom` degrees of freedom, at least 1.
 
-    With a bias β of either sign it is the shortest symmetric one that holds the truth as often as `level` says
+    With a bias of at most β, of either sign, it is the shortest symmetric interval with coverage `level`
     [ArmstrongKolesar2018]_.
     """
     known = max(float(freedom), 1.0)
@@ -203,7 +199,7 @@ def around(
 
 
 def within(estimate: Estimate, low: float, high: float) -> Estimate:
-    """The same, with an interval that ends where the value is known to."""
+    """The same estimate, with its interval clipped to the known range."""
     return replace(estimate, low=max(estimate.low, low), high=min(estimate.high, high))
 
 
@@ -213,7 +209,7 @@ def _beyond(x: float, shift: float, freedom: float) -> float:
 
 
 def _quantile(level: float, shift: float, freedom: float) -> float:
-    """The x that |T + shift| does not exceed with probability `level`."""
+    """The x that |T + shift| exceeds with probability 1 − `level`."""
     high = 1.0 + shift
     while _beyond(high, shift, freedom) > 1.0 - level:
         high *= 2.0
@@ -221,31 +217,31 @@ def _quantile(level: float, shift: float, freedom: float) -> float:
 
 
 def check_level(level: float) -> None:
-    """Refuse a level that is not above 0, or above `LARGEST_LEVEL`."""
+    """Refuse a level that is not positive, or above `LARGEST_LEVEL`."""
     if not 0.0 < level <= LARGEST_LEVEL:
         raise ArgumentError(f"level is {level}; it lies between 0 and 1, and is {LARGEST_LEVEL} at most")
 
 
 class Possible(NamedTuple):
-    """The least and the most that rewards can add up to."""
+    """The smallest and the largest possible return."""
 
     low: float
     high: float
 
     def moved_within(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """Values with their mean moved to the nearer end where it lies outside."""
+        """Values with their mean moved to the nearer end if it lies outside."""
         mean = float(values.mean())
         within = min(max(mean, self.low), self.high)
         return values if within == mean else values + (within - mean)
 
 
 def possible(trajectories: TrajectoryArrays) -> Possible:
-    """Add up the rewards that were seen."""
+    """Range of possible returns, from the observed rewards."""
     return Possible(-_most(-trajectories.reward, trajectories), _most(trajectories.reward, trajectories))
 
 
 def _most(reward: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays) -> float:
-    """M_1; a stage that no trajectory was seen to complete brings nothing."""
+    """M_1; a stage that no trajectory completed contributes nothing."""
     later = 0.0
     for t in reversed(range(reward.shape[1])):
         ends, goes_on = trajectories.is_last[:, t], trajectories.is_completed[:, t] & ~trajectories.is_last[:, t]

@@ -1,11 +1,10 @@
-"""What a policy earns in an hour of the clock: its mean reward by the mean duration of a trajectory.
+"""The evaluation of a policy on a log: three estimates, the values of its baselines, and a verdict.
 
-The mean duration is estimated just as the reward is, with the durations of completed stages for rewards. A cell that
-takes part after part earns this in the long run (renewal reward), as long as nothing passes between two trajectories.
+Also its reward per hour of the clock: mean reward divided by the mean duration of a trajectory. The mean duration is
+estimated like the reward, with the durations of completed stages as rewards. A cell that handles part after part earns
+this in the long run (renewal reward), if no time passes between trajectories.
 
-What is known of a policy from a log: three estimates, what its baselines earn, and a verdict.
-
-What can be claimed of a policy, what is guessed, and how long a log would decide, in plain words.
+Also the claim, the best guess and the length of log that would decide, in plain words.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -22,33 +21,33 @@ from halfseen.text_table import aligned
 
 SECONDS = 3600.0
 STILL_S = 1e-6
-"""A stage that takes no longer took no time [s]."""
+"""A stage that takes no longer counts as instantaneous [s]."""
 SAME_TIME = 1e-9
-"""Of the longest stage: what clocks that count differ by at most."""
+"""Largest difference between stages on a clock that counts stages, as a share of the longest."""
 
 
 class Rate(NamedTuple):
-    """What a policy earns in an hour, and how long its trajectories take."""
+    """Reward per hour of a policy, and the duration of its trajectories."""
 
     per_hour: Estimate
-    """Mean reward by mean duration [reward/h]."""
+    """Mean reward divided by mean duration [reward/h]."""
     duration_s: Estimate
-    """Mean duration of a trajectory, had nothing been cut [s]."""
+    """Mean duration of a trajectory without cuts [s]."""
 
 
 @dataclass(frozen=True)
 class PerHour:
-    """What the policy and the logging policy earn in an hour."""
+    """Reward per hour of the policy and of the logging policy."""
 
     policy: Rate | None = None
     logging: Rate | None = None
-    """None where that is not known."""
+    """None if it is not known."""
     why_unknown: str | None = None
-    """Why, in plain words; None where both are known."""
+    """The reason, in plain words; None if both are known."""
 
 
 def per_hour(problem: Problem, policy: Contender, logging: Contender, level: float) -> PerHour:
-    """Work out what a policy earns in an hour, and what the logging policy does, by what they add."""
+    """Estimate the reward per hour of a policy and of the logging policy from their contributions."""
     why = why_no_rate(problem.trajectories)
     if why is not None:
         return PerHour(why_unknown=why)
@@ -69,10 +68,10 @@ def _rate(earned: Contender, took: Contender, level: float) -> Rate | None:
 
 
 def with_durations(problem: Problem) -> Problem:
-    """The same log, with durations of completed stages for rewards."""
+    """The same log, with durations of completed stages as rewards."""
     trajectories = problem.trajectories
     took_s = np.where(trajectories.is_completed, trajectories.clocks.watched_s, 0.0)
-    # What is known of the noise of rewards says nothing of durations.
+    # The model of the noise of rewards does not apply to durations.
     variates = problem.log.control_variates
     still = None if variates is None else np.zeros_like(variates)
     log = problem.log._replace(reward=took_s, control_variates=still)
@@ -80,7 +79,7 @@ def with_durations(problem: Problem) -> Problem:
 
 
 def why_no_rate(trajectories: TrajectoryArrays) -> str | None:
-    """Say why the clock of a log tells no hours; None if it does."""
+    """Return why the clock of a log does not measure hours; None if it does."""
     took_s, reward = (each[trajectories.is_completed] for each in (trajectories.clocks.watched_s, trajectories.reward))
     if not len(took_s) or np.median(took_s) <= STILL_S:
         return "stages take no time on the clock of these logs"
@@ -93,27 +92,27 @@ def why_no_rate(trajectories: TrajectoryArrays) -> str | None:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """The value E[Σ_t R_t] of a policy, from a log that another one made.
+    """The value E[Σ_t R_t] of a policy, from a log of another policy.
 
     Parameters
     ----------
     importance_sampling
-        From the weights alone: rewards of trajectories that did as the policy would.
+        By the weights alone: rewards of trajectories that agree with the policy.
     fitted_q
-        From the model alone: Q̂ of the policy where trajectories begin. Its interval does not know of a wrong model.
+        By the model alone: Q̂ of the policy at the first states. Its interval does not include model error.
     doubly_robust
-        From both, right if one of them is; this is the one to read.
+        By both, right if one of them is; use this one.
     logging
-        What the logging policy earns, had nothing been cut.
+        Value of the logging policy without cuts.
     difference
-        Doubly robust value less that of the baseline that the verdict rests on, trajectory by trajectory; less that of
-        the logging policy where the log has not what this baseline does.
+        Doubly robust value minus that of the baseline that decides the verdict, by paired differences; minus that of
+        the logging policy if the log does not have that baseline's actions.
     verdict
-        ``"better"``: than every baseline; ``"not better"``: than some; or ``"inconclusive"``.
+        ``"better"`` than every baseline, ``"not better"`` than some, or ``"inconclusive"``.
     reason
-        Why, in one sentence that names the baseline.
+        The reason, in one sentence that names the baseline.
     support
-        Of each stage, the share of the logged actions that the policy would take at all.
+        For each stage, the share of the logged actions to which the policy gives positive probability.
     num_trajectories
         Trajectories of the log.
     level
@@ -121,16 +120,16 @@ class Evaluation:
     comparisons
         The policy against each baseline.
     notes
-        How the logging policy without its exploration was found, or why it was not.
+        How the logging policy without its exploration was estimated, or why it was not.
     reward_unit
-        What rewards are counted in; None if nobody has said.
+        Unit of rewards; None if not given.
     share
-        The doubly robust value as a multiple of what the logging policy earns; None where that is not known to be
-        above 0.
+        The doubly robust value as a multiple of that of the logging policy; None if the latter is not known to be above
+        0.
     per_hour
-        What the policy and the logging policy earn in an hour of the clock; None where nobody asked.
+        Reward per hour of the clock for the policy and the logging policy; None if not requested.
     doubt
-        Why no verdict can rest on the log; None where nothing speaks against it.
+        Why no verdict can rest on the log; None if nothing speaks against it.
     """
 
     importance_sampling: Estimate
@@ -161,11 +160,11 @@ class Evaluation:
 
     @property
     def sensitivity(self) -> str:
-        """How strong an unrecorded cause of cuts would have to be to undo the verdict, in one sentence; "" if open."""
+        """Strength of an unrecorded cause of cuts that would overturn the verdict, in one sentence; "" if none."""
         if self.verdict == "inconclusive":
             return ""
         gammas = [one.gamma for one in self.comparisons if one.verdict == self.verdict and one.gamma is not None]
-        # "Better" falls with the first baseline that is not beaten; "not better" stands while one is not.
+        # "Better" fails with the first baseline that is not beaten; "not better" holds as long as one is not.
         return in_words((min if self.verdict == "better" else max)(gammas)) + "." if gammas else ""
 
     def __str__(self) -> str:
@@ -193,7 +192,7 @@ def _cells(estimate: Estimate | None) -> tuple[str, str]:
 
 
 def claim_of(found: Evaluation) -> str:
-    """The least that a policy earns more than each of its baselines."""
+    """The smallest gain over each baseline that can be claimed."""
     if found.verdict != "better":
         return "nothing; no policy on the way from what the log does to the best guess is surely better"
     baseline = deciding(found.comparisons).baseline
@@ -201,7 +200,7 @@ def claim_of(found: Evaluation) -> str:
 
 
 def guess_of(found: Evaluation) -> str:
-    """What a policy earns more than the baseline that is hardest to beat, and what is still to be recorded."""
+    """The estimated gain over the strongest baseline, and how much is still to be recorded."""
     main = deciding(found.comparisons)
     if main.difference is None or main.p is None:
         return f"unknown; {main.reason}"

@@ -1,15 +1,15 @@
-"""Which actions to try more often, and in which states, so that the next log says more of a policy.
+"""Which actions to explore, and in which states, so that the next log is more informative about a policy.
 
-What a stage adds to the variance of a doubly robust value is (w_t (Y_t − Q̂_t))². Where the log takes the action of the
-policy more often, the weights of that stage and of all later ones are smaller in proportion. So in a region c of
-states, in which the log takes that action in a share p of n stages on which V of the variance hangs, theirs and what
-comes after them, another share p′ would leave about V·p/p′. With as many tries Σ n p′ as the log now spends there on
-actions that are not its most frequent one, least is left by
+The contribution of a stage to the variance of a doubly robust value is (w_t (Y_t − Q̂_t))². If the log takes the action
+of the policy more often, the weights of that stage and of all later ones shrink in proportion. Consider a region c of
+states with n stages, in which the log takes that action in a share p, and let V be the variance contributed by these
+stages and all later ones. Another share p′ would change V to about V·p/p′. For a fixed number of tries, Σ n p′, equal
+to the number of stages in which the log takes an action other than its most frequent one, the variance is minimised by
 
     p′ ∝ √(V p / n),
 
-the allocation of Neyman [Neyman1934]_. Regions are the leaves of a small tree, grown where V differs, of the states in
-which the policy would not do what the log mostly does.
+Neyman's allocation [Neyman1934]_. Regions are the leaves of a small tree, grown where V differs, over the states in
+which the policy deviates from the log's most frequent action.
 """
 
 from collections.abc import Sequence
@@ -26,24 +26,24 @@ from halfseen.shapes import Float, Int
 from halfseen.text_table import aligned
 
 MOST_REGIONS = 4
-"""Of one action."""
+"""Per action."""
 FEWEST_STAGES = 30
-"""Of a region."""
+"""Per region."""
 LARGEST_SHARE = 0.5
-"""That is worth trying: from there on the rule of today is what is tried."""
+"""Largest share to explore: above it, the current rule becomes the exploration."""
 LEAST_GAIN = 1.05
-"""An interval that is less than so many times narrower is not worth it."""
+"""An interval narrower by less than this factor is not worth the exploration."""
 LEAST_PART = 0.02
-"""Of the variance; regions that carry less are left out."""
+"""Of the variance; regions with less are omitted."""
 
 
 class Exploration(NamedTuple):
-    """What to try, and what for."""
+    """What to explore, and the benefit."""
 
     regions: tuple["Region", ...]
-    """Those on which most hangs first."""
+    """Those with the most variance first."""
     narrower: float
-    """How many times narrower the interval would be, about, with as many trajectories."""
+    """Approximate factor by which the interval would be narrower, with as many trajectories."""
 
     def as_dict(self) -> dict[str, Any]:
         """Everything, ready for JSON."""
@@ -59,33 +59,33 @@ class Exploration(NamedTuple):
 
 
 class Region(NamedTuple):
-    """Where an action of the policy is to be tried more often."""
+    """A region in which to take an action of the policy more often."""
 
     conditions: dict[str, str]
-    """By column what has to hold, as in a rule."""
+    """Conditions by column, as in a rule."""
     action: str
     now: float
     """Share of its stages in which the log takes the action."""
     wanted: float
-    """Share of them that lets the same number of tries say most."""
+    """The share that is most informative for the same number of tries."""
     part: float
-    """Of the variance, that hangs on the tries; regions may share what hangs on several."""
+    """Share of the variance that depends on these tries; regions may overlap."""
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """Its row of a table for people."""
+        """Its row of a table for readers."""
         where = ", ".join(f"{name} {condition}" for name, condition in self.conditions.items()) or "everywhere"
         return self.action, where, f"{self.now:.0%}", f"{self.wanted:.0%}", f"{self.part:.0%}"
 
 
 NOWHERE = Exploration((), 1.0)
-"""Nothing is worth trying more often."""
+"""Nothing is worth exploring more often."""
 
 
 def exploration_of(case: Case) -> Exploration:
-    """Find where to try what a policy does that draws nothing.
+    """Find where to explore the actions of a deterministic policy.
 
-    Nowhere, if stages are no rows of covariates or the log does it often.
+    The result is empty if states are not rows of covariates or if the log takes these actions often.
     """
     problem, task = case.problem, case.problem.model.task
     if not isinstance(task, NamedActions) or problem.log.policy is None:
@@ -143,7 +143,7 @@ class _Leaf(NamedTuple):
 
     @property
     def tries(self) -> float:
-        """Stages in which another than the most frequent action was taken."""
+        """Stages in which an action other than the most frequent one was taken."""
         return float(len(self.taken) - np.bincount(self.taken).max())
 
     @property
@@ -153,7 +153,7 @@ class _Leaf(NamedTuple):
 
     @property
     def conditions(self) -> dict[str, str]:
-        """By column what has to hold."""
+        """Conditions by column."""
         ranges = {}
         for column, (low, high) in self.limits.items():
             parts = [f"> {low:.4g}"] * bool(np.isfinite(low)) + [f"<= {high:.4g}"] * bool(np.isfinite(high))
@@ -162,7 +162,7 @@ class _Leaf(NamedTuple):
 
 
 class _Part(NamedTuple):
-    """Rows within limits, and how they would best be split in two."""
+    """Rows within limits, and their best split in two."""
 
     limits: dict[int, tuple[float, float]]
     rows: Int[np.ndarray, " l"]
@@ -174,7 +174,7 @@ class _Part(NamedTuple):
 def _leaves(
     columns: Float[np.ndarray, "m G"], hangs: Float[np.ndarray, " m"], rows: Int[np.ndarray, " k"]
 ) -> list[tuple[dict[int, tuple[float, float]], Int[np.ndarray, " l"]]]:
-    """Limits and rows of each region: a regression tree that splits first where that tells most [BreimanEtAl1984]_."""
+    """Limits and rows of each region: a regression tree that splits best-first [BreimanEtAl1984]_."""
     parts = [_Part({}, rows, *_best_split(columns[rows], hangs[rows]))]
     while len(parts) < MOST_REGIONS:
         one = max(parts, key=lambda part: part.gain)
@@ -190,7 +190,7 @@ def _leaves(
 
 
 def _best_split(columns: Float[np.ndarray, "m G"], hangs: Float[np.ndarray, " m"]) -> tuple[float, int, float]:
-    """How much less the squared error is, by which column, and where; no gain where no side has stages enough."""
+    """Reduction of the squared error, column and threshold of the best split; no gain if a side has too few stages."""
     num, least = len(hangs), FEWEST_STAGES
     if num < 2 * least or not columns.shape[1]:
         return 0.0, 0, 0.0
@@ -209,7 +209,7 @@ def _allotted(leaves: Sequence[_Leaf]) -> list[float]:
 
 
 def _shares(by: Float[np.ndarray, " c"], size: Float[np.ndarray, " c"], tries: float) -> Float[np.ndarray, " c"]:
-    """Shares in proportion to `by` that make so many tries of all regions; none above the largest."""
+    """Shares in proportion to `by` that use the given number of tries over all regions; none above the largest."""
     share, is_free = np.full(len(by), LARGEST_SHARE), np.ones(len(by), dtype=bool)
     while is_free.any():
         left = tries - float(size[~is_free] @ share[~is_free])

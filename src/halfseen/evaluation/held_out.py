@@ -1,21 +1,21 @@
-"""The verdict on what was learned, from the log that it was learned from: no policy is judged by what it has seen.
+"""The verdict on a learned policy from the log that it was learned from, by cross-fitting.
 
-Trajectories are dealt into folds. For each fold a policy is learned in the same way from the others, and judged by the
-trajectories of its own; what those add is pooled over the folds into one paired difference for each baseline, with one
-interval. That is a statement about *this way of learning from such a log* (a data-adaptive parameter [Hubbard2016]_):
-the policy learned from all of it is as a rule a little better than those of the folds.
+Trajectories are assigned to folds. For each fold a policy is learned in the same way from the other folds and evaluated
+on the trajectories of its own. Their contributions are pooled over the folds into one paired difference for each
+baseline, with one interval. The result is about *this way of learning from such a log* (a data-adaptive parameter
+[Hubbard2016]_): the policy learned from the whole log is usually a little better than those of the folds.
 
-A policy that holds margins is learned once and judged several times: as it is, the *best guess*, and with more caution.
-That for which most can be claimed is *vouched for* (`vouched`), and the verdict is on it.
+A policy with margins is learned once and evaluated several times: unchanged, as the *best guess*, and with more
+caution. The one with the largest claim is *vouched for* (`vouched`), and the verdict is on it.
 
-The lower bound of what was chosen for its large lower bound is too large, unless the bounds of all hold at once. The
-estimates of policies that mostly do the same go up and down together, so that costs little: with R the correlation of
-what trajectories add to the gain of each, the bounds are those of a level at which the largest of as many normal
-variables stays below its quantile (max-t [WestfallYoung1993]_).
+Choosing a candidate by its lower bound biases that bound upwards, unless the bounds of all hold simultaneously. The
+estimates of policies that mostly agree are highly correlated, so simultaneous bounds cost little: with R the
+correlation of the contributions of trajectories to the gain of each, the bounds have the level at which the largest of
+as many normal variables stays below its quantile (max-t [WestfallYoung1993]_).
 
 *Choosing by some folds and claiming by the others* (as in [Thomas2015]_, over all folds in turn) does not keep the
-level: of eight policies that are worth the same, a claim above 0 was made in 11 % of logs instead of 2.5 %, for where
-all folds choose alike nothing is held out.
+level: with eight policies of equal value, a claim above 0 was made in 11 % of logs instead of 2.5 %, because nothing is
+held out if all folds choose the same policy.
 """
 
 import warnings
@@ -52,11 +52,11 @@ NUM_DRAWS = 20_000
 
 
 class Vouched(NamedTuple):
-    """The choice among some policies."""
+    """The choice among several policies."""
 
     chosen: int
     level: float
-    """Of one interval, so that those of all hold at once as often as was asked for."""
+    """Of one interval, so that all hold simultaneously at the requested level."""
 
 
 def vouched(candidates: Sequence[Contender], baselines: Sequence[Contender], level: float) -> Vouched:
@@ -65,20 +65,20 @@ def vouched(candidates: Sequence[Contender], baselines: Sequence[Contender], lev
     Parameters
     ----------
     candidates
-        What the log knows of each; the first is taken where nothing is known of any.
+        Evidence of the log on each policy; the first is chosen if none has a known value.
     baselines
-        What each has to beat; those of which nothing is known do not count.
+        The policies to beat; those of unknown value are ignored.
     level
-        At which the intervals of all are to hold at once.
+        Simultaneous level of all intervals.
     """
     theirs = [each for each in baselines if each.values is not None and each.why_unknown is None]
     known = [each.values for each in candidates if each.values is not None and each.why_unknown is None]
     gains = [np.stack(known) - each.values for each in theirs if known]
-    # A claim is on all baselines, and wrong only if one of them is.
+    # A claim is about all baselines, and false only if one of them is false.
     single = max((level_of_each(each, level) for each in gains), default=level)
 
     def least(one: Contender) -> float:
-        """The smallest lower bound of what it earns more than a baseline."""
+        """The smallest lower bound of its gain over a baseline."""
         if one.values is None or one.why_unknown is not None:
             return -np.inf
         return min((one.less(each, single).low for each in theirs), default=-np.inf)
@@ -87,14 +87,14 @@ def vouched(candidates: Sequence[Contender], baselines: Sequence[Contender], lev
 
 
 def level_of_each(gains: Float[np.ndarray, "c n"], level: float) -> float:
-    """Level of one interval, two-sided, so that the lower ends of all hold at once as often as those of one would.
+    """Two-sided level of one interval, so that all lower ends hold simultaneously as often as a single one would.
 
     Parameters
     ----------
     gains
-        What each trajectory adds to each gain.
+        Contribution of each trajectory to each gain.
     level
-        Of one, if there were no others.
+        Level of a single interval.
     """
     spread = gains.std(axis=1)
     varied = gains[spread > 0] - gains[spread > 0].mean(axis=1, keepdims=True)
@@ -111,32 +111,32 @@ def level_of_each(gains: Float[np.ndarray, "c n"], level: float) -> float:
 NUM_FOLDS = 5
 
 CAUTIONS = (1.0, 2.0, 4.0, 8.0)
-"""How many times its margin a policy may go by."""
+"""Multiples of its margin that a policy may use."""
 
 MOST_JUDGED = 10_000
-"""Trajectories by which what was learned from a log in passes is judged."""
+"""Largest number of trajectories to evaluate what was learned from a log in passes."""
 
 
 @dataclass(frozen=True)
 class HeldOutVerdict:
-    """Whether policies learned this way beat what made the log.
+    """Whether policies learned in this way beat the logging policy.
 
     Parameters
     ----------
     verdict
         ``"better"``, ``"not better"`` or ``"inconclusive"``.
     reason
-        Why, in one sentence.
+        The reason, in one sentence.
     num_folds
         Number K of folds: each policy was learned from all but one.
     evaluation
-        The pooled folds in full; None where there is none.
+        The evaluation pooled over folds; None if there is none.
     caution
-        How many times its margin the policy goes by that is judged.
+        Multiple of its margin that the evaluated policy uses.
     best
-        The same of the policy as it was learned; None where there is none.
+        The evaluation of the policy as learned; None if there is none.
     exploration
-        What to try more often, and where, so that the next log says more of the policy as it was learned.
+        What to explore, and where, so that the next log is more informative about the policy as learned.
     """
 
     verdict: Verdict
@@ -149,7 +149,7 @@ class HeldOutVerdict:
 
     @property
     def of_best(self) -> "HeldOutVerdict":
-        """The verdict on the policy as it was learned."""
+        """The verdict on the policy as learned."""
         best = self.best
         if best is None:
             return self
@@ -157,7 +157,7 @@ class HeldOutVerdict:
 
     @property
     def claims(self) -> tuple[str, ...]:
-        """What is vouched for, and the best guess, in a sentence each."""
+        """The claim that is vouched for, and the best guess, in a sentence each."""
         if self.evaluation is None or self.best is None:
             return ()
         is_alone = self.best.verdict == "better" != self.verdict
@@ -166,13 +166,13 @@ class HeldOutVerdict:
 
     @property
     def sentence(self) -> str:
-        """The verdict, its reason, and of which policies that is said."""
+        """The verdict, its reason, and the policies that it is about."""
         part = "four fifths" if self.num_folds == 5 else f"{self.num_folds - 1} of {self.num_folds} parts"
         how = f"said of policies learned the same way from {part} of the log and judged on the rest"
         return f"{self.verdict.capitalize()}: {self.reason} ({how})."
 
     def as_dict(self) -> dict[str, Any]:
-        """What policy.json keeps."""
+        """The entries of policy.json."""
         comparisons = () if self.evaluation is None else self.evaluation.comparisons
         return {
             "verdict": self.verdict,
@@ -207,27 +207,27 @@ def held_out_verdict(
     trust: Collection[str] = (),
     workers: Workers = ALONE,
 ) -> HeldOutVerdict:
-    """Judge a way of learning by the log that was learned from, cross-fitted.
+    """Evaluate a way of learning by the log that was learned from, with cross-fitting.
 
-    The verdict is of `num_folds` policies that were learned as `learner` was, each from the trajectories outside one
-    fold, and not of the learner's own policy, which saw every trajectory. They go by as much more caution as lets most
-    be claimed. Where that cannot be done (too few trajectories, none of a fold that finished, probabilities that are
-    missing), the verdict is ``"inconclusive"``, and the reason says why.
+    The verdict is about `num_folds` policies that were learned as `learner` was, each from the trajectories outside one
+    fold, and not about the learner's own policy, which used every trajectory. They use the caution with the largest
+    claim. If that is impossible (too few trajectories, a fold in which none finished, missing probabilities), the
+    verdict is ``"inconclusive"``, with the reason.
 
     Parameters
     ----------
     learner
         Fitted to `logs`.
     logs
-        The log. Probabilities that it does not have are estimated.
+        The log. Missing probabilities are estimated.
     against, level, trust
         As for `evaluate`.
     num_folds
-        Number K of folds, and of policies that are learned.
+        Number K of folds, and of policies to learn.
     on_progress
         Called after each policy, and once at the end.
     workers
-        Who learns and judges; they begin once a policy takes long. The verdict is the same.
+        Workers for learning and evaluation, used once a policy takes long. The verdict is the same.
 
     Raises
     ------
@@ -239,11 +239,11 @@ def held_out_verdict(
         raise ArgumentError(f"num_folds is {num_folds}; at least 2 are needed")
     try:
         with warnings.catch_warnings():
-            # What is doubtful in a part of the log is so in all of it, and was said when that was learned.
+            # Problems in a part of the log are also in the whole log, for which the warning was issued.
             warnings.simplefilter("ignore", HalfseenWarning)
             with workers.ready_if_worth() as pool:
                 policy = learn_by_folds(learner, logs, num_folds, on_progress, pool)
-            # Where later trajectories count more, the question is what the policy is worth now.
+            # If later trajectories have larger weights, the question is the present value of the policy.
             present = latest(logs, learner.model_.half_life, len(learner.weights_))
             policy = replace(policy, fold=policy.fold[-present.num_trajectories :])
             if isinstance(learner.model_.space, TabularQ):
@@ -268,19 +268,19 @@ def learn_by_folds(
     on_progress: Callable[[], object] = lambda: None,
     pool: Pool = Pool(None),  # noqa: B008 - it has nothing that could change
 ) -> CrossFitted:
-    """Learn one policy for each fold, from the trajectories outside it; progress is told after each."""
+    """Learn one policy for each fold, from the trajectories outside it; report progress after each."""
     if logs.num_trajectories < num_folds:
         raise ArgumentError(f"the log has {logs.num_trajectories} trajectories for {num_folds} folds; record more")
-    # How cuts are dealt with is settled by the whole log; whatever else is chosen is chosen again in each fold.
+    # The whole log determines how cuts are treated; everything else is chosen again in each fold.
     composed = learner.compose(logs)
     same = learner.unfitted().set_params(censoring=composed.targets, pessimism=composed.pessimism)
     half_life: Any = learner.model_.half_life if hasattr(learner, "model_") else None
     if half_life is not None:
-        # Of fewer trajectories it has to be shorter.
+        # With fewer trajectories it must be shorter.
         num_learned = logs.num_trajectories * (1.0 - 1.0 / num_folds)
         same.set_params(half_life=half_life * num_learned / len(learner.weights_))
     if isinstance(composed.space, TabularQ):
-        # A state that one fold alone has seen is one of the others' too.
+        # States that only one fold contains must be known to the others.
         same = same.set_params(q_function=composed.space, actions=learner.model_.task, covariates=())
     fold = np.random.default_rng([learner.random_state, 3]).permutation(logs.num_trajectories) % num_folds
     policies = []
@@ -291,7 +291,7 @@ def learn_by_folds(
 
 
 def _learned_without(learner: CensoredQLearner, logs: Logs, fold: Int[np.ndarray, " n"], k: int) -> Any:
-    """Policy from the trajectories outside a fold."""
+    """Learn a policy from the trajectories outside a fold."""
     return learner.unfitted().fit(logs.select(logs.trajectory_ids[fold != k])).policy_
 
 

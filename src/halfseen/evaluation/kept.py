@@ -1,4 +1,4 @@
-"""Was it kept? What a policy was promised to earn, and for which states, beside what a later log says of both."""
+"""Comparison of a later log with the promise of a policy: the return that was promised, and the states."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,13 +18,13 @@ from halfseen.policies.folder.promised_parts import below
 from halfseen.policies.shares import action_shares
 
 APART = 0.1
-"""Difference of two distribution functions, or of shares, from which on it may matter."""
+"""Difference of two distribution functions, or of shares, that may matter."""
 CLEARLY = 1.95
-"""Of a test by Kolmogorov and Smirnov: the difference, times the root of the harmonic number of states, at .1 %."""
+"""Threshold of the Kolmogorov–Smirnov test at 0.1 %, for difference × √(1/(1/n + 1/m)) with n and m states."""
 AS_PROMISED = 2.0
-"""Standard errors within which what is earned is what was promised."""
+"""Standard errors within which the return agrees with the promise."""
 OWN = 0.9
-"""Share of the actions that a policy would have taken, from which on it is taken for the one that made a log."""
+"""Share of agreeing actions from which on the policy counts as the one that made the log."""
 
 UNITS = {
     100.0: "percent for shares, or centimetres for metres",
@@ -37,29 +37,29 @@ UNITS = {
     25.4: "millimetres for inches",
     -1.0: "the other sign",
 }
-"""What a covariate may have been multiplied by, and as if it were what; or divided by, the other way round."""
+"""Factors between units of a covariate, described for multiplication; division is the other way round."""
 
 
 @dataclass(frozen=True)
 class Kept:
-    """How a later log compares with what a policy was promised."""
+    """A later log compared with the promise of a policy."""
 
     sentence: str
-    """What it earned, or would, beside what was promised; "" where nothing was."""
+    """Its return, or estimated return, and the promised one; "" if nothing was promised."""
     units: tuple[str, ...]
-    """Covariates that look as if in another unit, a sentence each."""
+    """Covariates that seem to be in another unit, a sentence each."""
     drifts: tuple[str, ...]
-    """What else differs in the states, a sentence each."""
+    """Other differences of the states, a sentence each."""
 
     @property
     def lines(self) -> list[str]:
-        """All of it, for people: other units first, which make the rest meaningless."""
+        """All sentences, for readers: other units first, because they invalidate the rest."""
         units = [f"{each[0].upper()}{each[1:]}." for each in self.units]
         return [*units, *filter(None, [self.sentence]), *(f"- {each}" for each in self.drifts)]
 
 
 def earned_here(policy: Any, logs: Logs, q: QSpec | None, found: Evaluation) -> tuple[Estimate, bool]:
-    """What a policy earned by a log, if it is the one that made it, or would earn; and whether it is."""
+    """Return of a policy by a log, estimated if another policy made it; and whether the policy made it."""
     policy, logs, _ = with_its_rule(policy, logs)
     task = task_of(policy, logs) if q is None or q.task is None else q.task
     shares = action_shares(policy, task, [logs])
@@ -68,9 +68,9 @@ def earned_here(policy: Any, logs: Logs, q: QSpec | None, found: Evaluation) -> 
 
 
 def kept_promise(promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_own: bool) -> Kept:
-    """Compare a later log, and what the policy earned there or would, with a promise.
+    """Compare a later log, and the return of the policy on it, with a promise.
 
-    `halfseen.policies.folder` keeps the promise.
+    `halfseen.policies.folder` stores the promise.
     """
     promised, told = promise["value"], drifts_of(promise["stages"], logs)
     if promised is None:
@@ -86,9 +86,9 @@ def kept_promise(promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_ow
 
 
 def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Tell which covariates have another unit, and which another distribution, than the log that was learned from.
+    """Find covariates in another unit, and those with another distribution, than in the log used for learning.
 
-    What was promised of each stage `halfseen.policies.folder.promised_parts.promised_states` gives.
+    `halfseen.policies.folder.promised_parts.promised_states` gives the promised states of each stage.
     """
     units: dict[str, str] = {}
     found: dict[str, str] = {}
@@ -116,7 +116,7 @@ def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[tuple[
 
 
 def _other_unit(kept: Mapping[str, Any], values: Any, least: float) -> str:
-    """Tell in which other unit a number would lie where it lay; "" if in none."""
+    """Name the unit in which a number would have the promised distribution; "" if there is none."""
     if "values" not in kept or not pd.api.types.is_numeric_dtype(values.dtype):
         return ""
     factors = [factor**power for factor in UNITS for power in (1, -1)]
@@ -135,7 +135,7 @@ def _other_unit(kept: Mapping[str, Any], values: Any, least: float) -> str:
 
 
 def _apart(kept: Mapping[str, Any], values: Any) -> float:
-    """Largest difference of two distribution functions, or half the sum of those of shares; 1 of another kind."""
+    """Largest difference of two distribution functions, or total variation of shares; 1 for another type."""
     is_number = pd.api.types.is_numeric_dtype(values.dtype)
     if is_number != ("values" in kept):
         return 1.0
@@ -144,6 +144,6 @@ def _apart(kept: Mapping[str, Any], values: Any) -> float:
         was = pd.Series(kept["shares"], index=kept["names"])
         return float(shares.sub(was, fill_value=0.0).abs().sum() / 2.0)
     knots, numbers = np.array(kept["values"]), np.sort(values.to_numpy(dtype=np.float64))
-    # Where all lies above a knot as below it, the next one may still tell: what lies below the lowest counts, too.
+    # A difference between two knots shows at the next one; below the lowest, the mass itself is the difference.
     under = float(np.searchsorted(numbers, knots[0], side="left") / len(numbers))
     return max(under, float(np.abs(below(numbers, knots) - np.array(kept["below"])).max()))

@@ -1,22 +1,21 @@
-"""Two models of which action a state gets, from weighted votes: thresholds (bagged trees) and smooth borders.
+"""The logging policy without its exploration: its most probable action in each state, estimated from the log.
 
-Either is fitted to rows of a log and asked for the shares of all rows. They are small on purpose: a rule has a few
-thresholds or one border, and scikit-learn's models of the same kind take longer to load than these to answer.
+A log holds the probability of the action that was *taken*, b(A | S), and of no other. It gives two kinds of information
+on the rule a*(S) = argmax_a b(a | S).
 
-The logging policy without its exploration: its most probable action in each state, from the log alone.
-
-A log holds the probability of the action that was *taken*, b(A | S), and of no other. It says two things of the rule
-a*(S) = argmax_a b(a | S).
-
-* Was it taken? Where b(A | S) > ½, A is the rule's action, for all others are less likely. If in every state some
-  action has more than ½, then b(A | S) ≤ ½ means that A is not. That can be checked: E[1{b(A | S) > ½} / b(A | S)] is
-  the share of states that have such an action. Where it is 1, the likelihood ratio of the rule,
+* Whether it was taken. If b(A | S) > ½, A is the rule's action, because all others are less likely. If in every state
+  some action has more than ½, then b(A | S) ≤ ½ means that A is not. This can be checked: E[1{b(A | S) > ½} / b(A | S)]
+  is the share of states that have such an action. If it is 1, the likelihood ratio of the rule,
   1{A = a*(S)} / b(A | S), is known without any model (*revealed*).
-* What would it have been? That takes a model of the actions: it is fitted with weights b(A | S)⁴. Under them an action
-  has on average b(a | S)⁵ of the votes of a state, which is largest for the same action, and has far less noise.
+* What it would have been. This needs a model of the actions, fitted with weights b(A | S)⁴. With them, action a has on
+  average b(a | S)⁵ of the votes of a state, which has the same maximum and far less noise.
 
-Each trajectory is judged by a model that was fitted without it; one that knew a trajectory's own actions would follow
-it too often.
+Each trajectory is evaluated with a model fitted without it; a model fitted to a trajectory's own actions would agree
+with them too often.
+
+Two models map states to actions by weighted votes: thresholds (bagged trees) and smooth borders (a logit). Either is
+fitted to rows of a log and returns the shares of all rows. They are small on purpose: a rule has a few thresholds or
+one border, and scikit-learn's equivalents take longer to import than these to fit.
 """
 
 from collections.abc import Callable
@@ -34,18 +33,18 @@ from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float, Int
 
 NUM_TREES, LEAF_SIZE, MOST_LEAVES, PURE = 12, 3, 256, 0.99
-"""Rows of a leaf are at least `LEAF_SIZE`, and so many that there are no more than `MOST_LEAVES`; where one action has
-this share of the votes, nothing is split."""
+"""Leaves have at least `LEAF_SIZE` rows, and enough that there are at most `MOST_LEAVES`. A node in which one action
+has the share `PURE` of the votes is not split."""
 RIDGE, MOST_STEPS, TOLERANCE = 0.1, 300, 1e-4
-"""Penalty ½·RIDGE·‖β‖² beside a log-likelihood that is summed over rows; steps at most, and the change of the
-coefficients, as a share of the largest, that ends them."""
+"""Penalty ½·RIDGE·‖β‖² added to a log-likelihood summed over rows; largest number of steps; and the change of the
+coefficients, as a share of the largest, at which they stop."""
 
 
 Shares = Callable[
     [Float[np.ndarray, "rows F"], Float[np.ndarray, "fitted A"], Int[np.ndarray, " fitted"]],
     Float[np.ndarray, "rows A"],
 ]
-"""States of all rows, votes of those that are fitted to, and which these are → share of each action in every row."""
+"""States of all rows, votes of the training rows, and the indices of these → share of each action in every row."""
 
 
 def forest_shares(
@@ -58,9 +57,9 @@ def forest_shares(
     states
         Of all rows.
     votes
-        Weight of a row for the action that it took, 0 for the others.
+        Weight of a row for the action taken, 0 for the others.
     fitted
-        Rows that the trees are grown on.
+        Rows to grow the trees on.
     """
     rng, shares = np.random.default_rng(0), np.zeros((len(states), votes.shape[1]))
     least = max(LEAF_SIZE, -(-len(fitted) // MOST_LEAVES))
@@ -74,7 +73,7 @@ def forest_shares(
 def _tree_shares(
     states: Float[np.ndarray, "n F"], votes: Float[np.ndarray, "n A"], asked: Float[np.ndarray, "m F"], least: int
 ) -> Float[np.ndarray, "m A"]:
-    """Grow a tree, and send what is asked down with it."""
+    """Grow a tree and evaluate it for the queried rows."""
     shares = np.empty((len(asked), votes.shape[1]))
     nodes = [(np.arange(len(states)), np.arange(len(asked)))]
     while nodes:
@@ -93,7 +92,7 @@ def _tree_shares(
 def _best_split(
     states: Float[np.ndarray, "n F"], votes: Float[np.ndarray, "n A"], least: int
 ) -> tuple[int, float] | None:
-    """The purest of all features and thresholds; None where no side of one has rows enough."""
+    """The purest split over features and thresholds; None if every split has a side with too few rows."""
     if len(states) < 2 * least:
         return None
     order = np.argsort(states, axis=0)
@@ -108,7 +107,7 @@ def _best_split(
 def best_threshold(
     ordered: Float[np.ndarray, "n F"], scores: Float[np.ndarray, "m F"], least: int
 ) -> tuple[float, int, float]:
-    """The largest score of splits that leave so many rows on either side, its feature and threshold; −∞ if none."""
+    """Largest score of splits with enough rows on both sides, its feature and its threshold; −∞ if there is none."""
     num = len(ordered)
     below, above = ordered[least - 1 : num - least], ordered[least : num - least + 1]
     scores = np.where(below < above, scores, -np.inf)
@@ -122,8 +121,8 @@ def logit_shares(
 ) -> Float[np.ndarray, "rows A"]:
     """Multinomial logit on features and their products.
 
-    By steps with a bound of the curvature [BohningLindsay1988]_, accelerated. Parameters are those of `forest_shares`.
-    A rule without noise has a border that can be ever steeper; where it lies is found long before that ends.
+    Fitted by accelerated steps with a bound of the curvature [BohningLindsay1988]_. Parameters as in `forest_shares`.
+    For a rule without noise the slope of the border diverges, but its position converges long before the steps end.
     """
     spread = states[fitted].std(axis=0)
     scaled = (states - states[fitted].mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
@@ -142,7 +141,7 @@ def logit_shares(
         beta = beta + step
         if np.abs(step).max() <= TOLERANCE * np.abs(beta).max():
             break
-        # Momentum, begun again where it leads downhill.
+        # Restart the momentum when it points downhill.
         last, pace = (pace, 0.5 + np.sqrt(0.25 + pace**2)) if (slope * step).sum() > 0.0 else (1.0, 1.0)
         ahead = beta + (last - 1.0) / pace * step
     return softmax(design @ beta)
@@ -150,35 +149,35 @@ def logit_shares(
 
 NAME = "the logging policy without its exploration"
 POWER = 4
-"""Of the logged probability, in the weights."""
+"""Exponent of the logged probability in the weights."""
 NUM_FOLDS = 5
 LEAST_WEIGHT = 1e-3
-"""Rows that weigh less than this share of the heaviest are left out: they have no say, and take as long."""
+"""Rows with a weight below this share of the largest are omitted: they have no effect and take as long."""
 
 Choice = Callable[[Float[np.ndarray, " rows"]], Int[np.ndarray, " rows"]]
-"""Weights of the rows to fit to → the most probable action of every row."""
+"""Weights of the training rows → the most probable action of every row."""
 
 
 class LoggingRule(NamedTuple):
-    """The rule, in the states of the log."""
+    """The rule in the states of the log."""
 
     probabilities: Float[np.ndarray, "n T A"]
-    """1 for its action, by a model that was fitted without the trajectory."""
+    """1 for its action, by a model fitted without the trajectory."""
     is_taken: Bool[np.ndarray, "n T"] | None
-    """Whether the logged action is its own, where the logged probabilities reveal that; else None."""
+    """Whether the logged action is the rule's, if the logged probabilities reveal it; else None."""
     note: str
-    """How it was found, and how well, in a sentence."""
+    """How the rule was estimated, and how well, in a sentence."""
 
 
 def logging_rule(
     logs: Logs, trajectories: TrajectoryArrays, task: Task, fold: Int[np.ndarray, " n"], has_probability: bool
 ) -> LoggingRule | str:
-    """Find the rule behind the logged actions, or say why there is none.
+    """Estimate the rule behind the logged actions, or return why there is none.
 
-    Where the logged probabilities are not to be believed, the actions alone tell of it.
+    If the logged probabilities are not trusted, the actions alone are used.
     """
     begun, taken = trajectories.is_begun, trajectories.action[trajectories.is_begun]
-    # b(A | S) of each stage, 0 where the action or its probability is not known; 1 if none is believed.
+    # b(A | S) of each stage, 0 if the action or its probability is not known; 1 if none is trusted.
     logged = np.nan_to_num(trajectories.probability[begun]) if has_probability else 1.0
     likely = np.where(trajectories.has_action[begun], logged, 0.0)
     known, weight = likely > 0, likely**POWER
@@ -186,7 +185,7 @@ def logging_rule(
     weight /= weight[weight > 0].mean()
     row_fold = np.broadcast_to(fold[:, None] % NUM_FOLDS, begun.shape)[begun]
     guesses = [_held_out(choice, weight, row_fold) for choice in _choices(logs, trajectories, task)]
-    # The model that agrees best with stages that it was not fitted to.
+    # The model that agrees best with held-out stages.
     guess = max(guesses, key=lambda guess: float(weight[guess == taken].sum()))
     probabilities = np.zeros(trajectories.is_possible.shape)
     probabilities[begun] = guess[:, None] == np.arange(trajectories.is_possible.shape[-1])
@@ -216,7 +215,7 @@ def logging_rule(
 
 
 def _is_revealed(likely: Float[np.ndarray, " rows"]) -> bool:
-    """Whether, as far as chance allows to tell, every state has an action of more than ½."""
+    """Whether every state has an action of more than ½, up to sampling error."""
     share = np.where(likely > 0.5, 1.0 / likely, 0.0)
     return bool(share.any() and share.mean() >= 1.0 - 2.0 * share.std() / np.sqrt(len(share)))
 
@@ -231,7 +230,7 @@ def _held_out(
 
 
 def _choices(logs: Logs, trajectories: TrajectoryArrays, task: Task) -> list[Choice]:
-    """What may have been the shape of the rule: thresholds, or smooth borders; on a table, what Q looks at."""
+    """Candidate models of the rule: thresholds, or smooth borders; for a table, on the features of Q."""
     begun = trajectories.is_begun
     taken = trajectories.action[begun]
     if not isinstance(task, NamedActions):
@@ -255,11 +254,11 @@ def _likeliest(
     weight: Float[np.ndarray, " rows"],
     possible: Bool[np.ndarray, "rows A"],
 ) -> Int[np.ndarray, " rows"]:
-    """Fit a model of the actions, and take the action that it thinks most probable of those that are possible."""
+    """Fit a model of the actions and return the most probable of the possible actions."""
     fitted = np.flatnonzero(weight > 0)
     kinds, kind = np.unique(taken[fitted], return_inverse=True)
     votes = weight[fitted, None] * (kind[:, None] == np.arange(len(kinds)))
     chances = np.zeros(possible.shape)
-    if len(fitted):  # else all that has a say is held out, and one action is as good a guess as another
+    if len(fitted):  # else all rows with weight are held out, and every action is an equally good guess
         chances[:, kinds] = shares_of(states, votes, fitted)
     return np.where(possible, chances, -1.0).argmax(axis=1)

@@ -1,40 +1,39 @@
-"""Weights by states: how much more often the policy comes to a state, instead of what the way to it weighs.
+"""Marginal importance weights: how much more often the policy visits a state than the log does.
 
-Products of ratios over stages carry the luck of all that went before. Where what comes next depends on the past through
-S_t alone, only their mean given S_t matters, the ratio of how often policy and log are in a state [XieMaWang2019]_
-[KallusUehara2020]_. With one stage's weight made of the one before,
+Products of ratios over stages accumulate the noise of the history. If the future depends on the past through S_t alone,
+only their mean given S_t matters, the ratio of the state distributions of policy and log [XieMaWang2019]_
+[KallusUehara2020]_. Computing each stage's weight from the one before,
 
     w_t = min(ρ̄_t(S_t) π(A_t | S_t) / b(A_t | S_t), √n),
     ρ̄_1 = 1,  ρ̄_{t+1}(s) = E[w_t δ_t / K̂_t | S_{t+1} = s],  K̂_t = Ĝ(U_t⁻) / Ĝ(U_{t−1}⁻),
 
-no product is ever formed. S_t is all that the log tells of a stage, whether or not Q̂ looks at it: so weights may be
-right where Q̂ is not. In the doubly robust value an error of ρ̄ is multiplied by one of Q̂; on products of ratios Q̂ may
-be what it likes, and a past that S_t does not tell may matter. So where a log shows that it does, products are taken,
-and whole: Q̂ is wrong there, too, and what is cut off would leave it uncorrected.
+avoids such products. S_t contains all that the log records of a stage, whether or not Q̂ uses it, so weights may be
+right where Q̂ is not. In the doubly robust value an error of ρ̄ is multiplied by one of Q̂. With products of ratios any
+Q̂ is valid, and the history may matter beyond S_t. So if a log shows that it does, products are used without
+truncation: Q̂ is then wrong, too, and truncation would leave its error uncorrected.
 
-A weight beyond √n belongs to fewer than √n of n trajectories, and is cut off there [Ionides2008]_: what it takes away
-is at most an error of Q̂ times the weight that is lost, which `Marginal.lost` tells.
+A weight above √n occurs for fewer than √n of n trajectories and is truncated there [Ionides2008]_: the resulting bias
+is at most an error of Q̂ times the truncated weight, `Marginal.lost`.
 
-*The mean of a weight among all that are in the same state*, E[ω | S], is worked out for several weightings of a log at
-once, each without a fold of its own:
+*The mean weight in a state*, E[ω | S], is computed for several weightings of a log at once, each without a fold of its
+own:
 
     m(s) = f(s) + Σ_c K_h(s − c) Σ_{i at c} (ω_i − f(S_i)) / Σ_c K_h(s − c) n_c,
 
-a mean over neighbours [Nadaraya1964]_ [Watson1964]_ of what a first guess f leaves. f is 0, or linear by ridge
-regression; neighbours are counted at the nearest of few places c, so that a long log costs what its rows do. Among the
-two guesses and some widths h, up to one that makes neighbours of all, the one is taken that foretells the weights of
-trajectories that were left out best. Weights are no less than 0, and their mean is kept: m is scaled to the sum of ω.
+a kernel regression [Nadaraya1964]_ [Watson1964]_ of the residuals of a first guess f, which is 0 or a linear ridge
+regression. Rows are assigned to the nearest of a few places c, so the cost is linear in the length of a log. Among the
+two guesses and several bandwidths h, up to one that includes all rows, the combination that best predicts the weights
+of held-out trajectories is chosen. Weights are non-negative, and their mean is preserved: m is scaled to the sum of ω.
 
-*Whether what went before a stage foretells its outcome* beyond what its state and action do: residuals Y_t − Q̂_t of
-stages from the second on, by a Q̂ that never saw the trajectory, and the history h_t = (A_{t−1}, φ(S_{t−1}), R_{t−1})
-are both freed from what φ(S_t) and A_t say linearly, and then should have nothing to do with each other: with
-U_i = Σ_t h̃_it r̃_it,
+*Whether the history predicts the outcome of a stage* beyond its state and action: the residuals Y_t − Q̂_t of stages
+from the second on, by a Q̂ fitted without the trajectory, and the history h_t = (A_{t−1}, φ(S_{t−1}), R_{t−1}) are both
+made orthogonal to φ(S_t) and A_t, and should then be uncorrelated. With U_i = Σ_t h̃_it r̃_it,
 
     W = (Σ_i U_i)ᵀ (Σ_i U_i U_iᵀ)⁻¹ (Σ_i U_i)
 
-is χ² with as many degrees of freedom as h has columns, whatever stages of one trajectory share [LiangZeger1986]_. It is
-told as the normal deviate that is as rare [WilsonHilferty1931]_. A log is large enough for this long before it is for
-the weights that the policy needs, for every stage counts alike.
+is χ² with as many degrees of freedom as h has columns, whatever the dependence within a trajectory [LiangZeger1986]_.
+It is converted to a normal deviate of equal probability [WilsonHilferty1931]_. This test needs far shorter logs than
+the weights of the policy do, because every stage counts equally.
 """
 
 from collections.abc import Iterator, Sequence
@@ -56,42 +55,42 @@ def states_of(
     left_out: Sequence[str] = (),
     added: Sequence[str] = (),
 ) -> Float[np.ndarray, "n T F"]:
-    """Lay out the covariates that can be looked at, but some and with other columns; zeros where no stage was begun."""
+    """Arrange the usable covariates, less some and plus other columns, by stage; zeros where no stage began."""
     names = [name for name in fit_covariates(logs) if name not in left_out]
     looked_at = Covariates((*names, *added), learned_categories([logs], names, known))
     return laid_out(looked_at.encode(logs.stages), logs, trajectories)
 
 
 def laid_out(rows: Float[np.ndarray, "m F"], logs: Logs, trajectories: TrajectoryArrays) -> Float[np.ndarray, "n T F"]:
-    """Put what is known of each row of a log where its stage is; zeros elsewhere."""
+    """Arrange values of the rows of a log by stage; zeros elsewhere."""
     found = np.zeros((*trajectories.is_begun.shape, rows.shape[1]))
     found[stage_places(logs)] = rows
     return found
 
 
 WIDTHS = (0.15, 0.3, 0.6, 1.2, np.inf)
-"""h, in standard deviations of a covariate, by which states are neighbours."""
+"""Bandwidths h, in standard deviations of a covariate."""
 
 MOST_PLACES = 200
-"""Where more states differ, so many stand for them."""
+"""If there are more distinct states, this number of them represents all."""
 
 RIDGE = 1.0
-"""Of the linear guess on standardised covariates: a prior of one row."""
+"""Of the linear guess on standardised covariates: a prior worth one row."""
 
 
 def mean_by_state(
     weight: Float[np.ndarray, "B m"], states: Sequence[Float[np.ndarray, "m _"]], is_fitted: Bool[np.ndarray, "B m"]
 ) -> Float[np.ndarray, "B m"]:
-    """Work out m of every row, for each of B weightings.
+    """Compute m of every row, for each of B weightings.
 
     Parameters
     ----------
     weight
         ω of each row.
     states
-        Covariates; where there are several sets of them, the one is taken that foretells the weights best.
+        Covariates; of several sets of them, the one that best predicts the weights is chosen.
     is_fitted
-        Rows that each weighting is fitted to; by the others the form is chosen.
+        Rows to fit each weighting to; the form is chosen on the others.
     """
     each = [found for some in states for found in _forms(weight, standardised(some), is_fitted)]
     errors = [float(np.sum(np.where(is_fitted, 0.0, weight - found) ** 2)) for found in each]
@@ -101,7 +100,7 @@ def mean_by_state(
 
 
 def standardised(states: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "m G"]:
-    """Covariates that differ, with mean 0 and standard deviation 1."""
+    """Covariates that vary, with mean 0 and standard deviation 1."""
     spread = states.std(axis=0)
     differs = spread > 1e-9 * np.maximum(1.0, np.abs(states).max(axis=0, initial=0.0))
     return (states[:, differs] - states[:, differs].mean(axis=0)) / spread[differs]
@@ -110,12 +109,12 @@ def standardised(states: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "m G"]:
 def _forms(
     weight: Float[np.ndarray, "B m"], scaled: Float[np.ndarray, "m F"], is_fitted: Bool[np.ndarray, "B m"]
 ) -> Iterator[Float[np.ndarray, "B m"]]:
-    """Give m by each guess and width, around all places that differ, or as many of them as are allowed, drawn."""
+    """Compute m for each guess and bandwidth, around all distinct places or a random sample of them."""
     places = np.unique(scaled, axis=0)
     if len(places) > MOST_PLACES:
         places = places[np.random.default_rng(0).choice(len(places), MOST_PLACES, replace=False)]
     lengths = (scaled**2).sum(axis=1)[:, None] + (places**2).sum(axis=1) - 2.0 * scaled @ places.T
-    # Mean squared difference to each place, over covariates.
+    # Mean squared difference from each place, over covariates.
     squared = np.maximum(lengths, 0.0) / max(scaled.shape[1], 1)
     is_at = np.zeros(squared.shape)
     is_at[np.arange(len(is_at)), squared.argmin(axis=1)] = 1.0
@@ -134,7 +133,7 @@ def _forms(
 def linear(
     weight: Float[np.ndarray, "B m"], scaled: Float[np.ndarray, "m F"], is_fitted: Bool[np.ndarray, "B m"]
 ) -> Float[np.ndarray, "B m"]:
-    """Foretell weights by a linear function of covariates, with a ridge on all but the constant."""
+    """Predict weights by a linear function of covariates, with a ridge penalty on all but the constant."""
     design = np.column_stack([np.ones(len(scaled)), scaled])
     penalty = np.diag([1e-9, *[RIDGE] * scaled.shape[1]])
     gram = np.einsum("bm,mp,mq->bpq", is_fitted, design, design, optimize=True) + penalty
@@ -143,10 +142,10 @@ def linear(
 
 
 CLEARLY = 3.72
-"""From this deviate on, which chance exceeds once in 10,000 logs, states are not believed to tell all."""
+"""Deviate above which states count as incomplete; chance exceeds it once in 10,000 logs."""
 
 ROWS_PER_COLUMN = 5
-"""Fewer stages than so many for each column, and φ(S_t) counts the same after every action."""
+"""With fewer stages per column, the effect of φ(S_t) is the same for all actions."""
 
 
 def history_deviate(
@@ -155,7 +154,7 @@ def history_deviate(
     trajectories: TrajectoryArrays,
     beyond: Float[np.ndarray, "n T G"],
 ) -> float:
-    """W as a normal deviate; −∞ where no stage has one before it.
+    """W as a normal deviate; −∞ if no stage has a predecessor.
 
     Parameters
     ----------
@@ -166,7 +165,7 @@ def history_deviate(
     trajectories
         The log.
     beyond
-        Covariates of each stage that Q does not look at.
+        Covariates of each stage that Q does not use.
     """
     trajectory, before = np.nonzero(has_target[:, 1:])
     if not len(trajectory):
@@ -183,7 +182,7 @@ def history_deviate(
     )
     columns = np.column_stack([history, residual[trajectory, now]])
     freed = columns - known @ np.linalg.lstsq(known, columns, rcond=1e-9)[0]
-    # Of the history what something is left of, with standard deviation 1.
+    # The columns of the history with remaining variance, scaled to standard deviation 1.
     spread, left = freed[:, :-1].std(axis=0), freed[:, -1]
     kept = spread > 1e-3 * np.maximum(history.std(axis=0), 1e-12)
     history = freed[:, :-1][:, kept] / spread[kept]
@@ -197,7 +196,7 @@ def history_deviate(
 
 
 def wald(score: Float[np.ndarray, "n H"]) -> tuple[float, int]:
-    """W, and its degrees of freedom: directions in which scores differ."""
+    """W and its degrees of freedom: the number of directions in which scores vary."""
     if not score.shape[1]:
         return 0.0, 0
     spread, directions = np.linalg.eigh(score.T @ score)
@@ -207,7 +206,7 @@ def wald(score: Float[np.ndarray, "n H"]) -> tuple[float, int]:
 
 
 def _known(features: Float[np.ndarray, "m F"], taken: Float[np.ndarray, "m A"]) -> Float[np.ndarray, "m C"]:
-    """A constant and φ(S_t) for each action, or φ(S_t) for all of them where stages are few."""
+    """A constant and φ(S_t) for each action, or φ(S_t) for all of them if there are few stages."""
     wide = np.column_stack([np.ones(len(features)), features])
     if taken.shape[1] * wide.shape[1] * ROWS_PER_COLUMN > len(features):
         return np.column_stack([taken, features])
@@ -215,12 +214,12 @@ def _known(features: Float[np.ndarray, "m F"], taken: Float[np.ndarray, "m A"]) 
 
 
 class Marginal(NamedTuple):
-    """Weights by states."""
+    """Marginal importance weights."""
 
     by_fold: tuple[StageWeights, ...]
     """Fitted without each fold, and last to all trajectories."""
     lost: float
-    """Stages of a trajectory, weighted as under the policy, that were cut off."""
+    """Truncated weight in stages per trajectory, weighted as under the policy."""
 
 
 def marginal_weights(
@@ -231,22 +230,22 @@ def marginal_weights(
     fold: Int[np.ndarray, " n"],
     is_imputed: bool,
 ) -> Marginal:
-    """Work out w_t of the stages of a log.
+    """Compute w_t of the stages of a log.
 
     Parameters
     ----------
     single
-        π/b of each stage, not multiplied; what it holds for an unknown action does not count.
+        π/b of each stage alone; values for unknown actions are ignored.
     uncut
         δ_t / Ĝ(U_t⁻), fitted without each fold, and last to all trajectories.
     trajectories
         The log.
     beyond
-        Covariates of each stage that Q does not look at.
+        Covariates of each stage that Q does not use.
     fold
         Of each trajectory.
     is_imputed
-        Whether begun stages have a target; else completed ones, which weigh w_t / K̂_t.
+        Whether stages that began have a target; otherwise completed ones, which weigh w_t / K̂_t.
     """
     known = trajectories.is_begun & trajectories.has_action
     is_fitted = fold != np.arange(len(uncut))[:, None]
@@ -273,7 +272,7 @@ def _next_by_state(
     beyond: Float[np.ndarray, "n T G"],
     is_fitted: Bool[np.ndarray, "B n"],
 ) -> Float[np.ndarray, "B n"]:
-    """ρ̄ of the states of a stage (from 0); 0 where it was not begun."""
+    """ρ̄ of the states of a stage (from 0); 0 where it did not begin."""
     answer = np.zeros_like(completed)
     if stage < trajectories.action.shape[1] and trajectories.is_begun[:, stage].any():
         rows = np.flatnonzero(trajectories.is_begun[:, stage])
@@ -284,6 +283,6 @@ def _next_by_state(
 
 
 def _passed(uncut: Float[np.ndarray, "B n T"]) -> Float[np.ndarray, "B n T"]:
-    """δ_t / K̂_t, of the last factors."""
+    """δ_t / K̂_t, from the cumulative factors."""
     before = uncut_before(uncut)
     return np.where(before > 0, uncut / np.where(before > 0, before, 1.0), 0.0)

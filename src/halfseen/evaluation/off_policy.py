@@ -1,8 +1,8 @@
 """From a policy and a log to an `Evaluation`.
 
-A log may itself look untrue: probabilities that nobody had, covariates from after the action, cuts called ends. An
-estimate that rests on it is wrong however narrow its interval is. So nothing is called better or worse by it, unless
-anyone who asks says that the log is to be trusted in this.
+A log may be implausible: impossible probabilities, covariates recorded after the action, or cuts labelled as ends. An
+estimate from it is biased however narrow its interval is. So the verdict is inconclusive, unless the caller declares
+the log trustworthy in this respect.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -41,22 +41,22 @@ from halfseen.workers import ALONE, Workers
 from halfseen.workers.threads import in_one_thread
 
 PROBABILITIES, COVARIATES, ENDINGS = TRUST = ("probabilities", "covariates", "endings")
-"""What a log may be trusted in."""
+"""Aspects in which a log may be trusted."""
 
 
 def doubt_of(logs: Logs, task: Task, has_probability: bool, trust: Collection[str] = ()) -> str | None:
-    """Say why no verdict can rest on a log; None where nothing speaks against it.
+    """Return why no verdict can rest on a log; None if no check fails.
 
     Parameters
     ----------
     logs
         The log.
     task
-        What is decided; of covariates, those count that it looks at.
+        The task; only covariates that it uses are checked.
     has_probability
         Whether the logged probabilities are used.
     trust
-        Of `TRUST`: what is not to be asked.
+        Subset of `TRUST`: checks to omit.
     """
     unknown = [name for name in trust if name not in TRUST]
     if unknown:
@@ -78,11 +78,11 @@ HISTORY_COUNTS = (
     "what went before a stage foretells its outcome beyond the covariates, so trajectories are weighted as a whole; "
     "record what they have in common as a covariate"
 )
-"""Said where states do not tell all."""
+"""Note for states that are incomplete."""
 
 
 class Case(NamedTuple):
-    """A policy, by what a log knows of it."""
+    """A policy, with the evidence of a log on it."""
 
     problem: Problem
     judged: FittedValues
@@ -91,22 +91,22 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True)
 class Judge:
-    """A log that is ready to judge policies that decide about the same, each beside the same baselines."""
+    """A log prepared for evaluating policies of one task, each against the same baselines."""
 
     problem: Problem
-    """The log, and the first policy."""
+    """The log, with the first policy."""
     logs: Logs
-    """The log as it was given."""
+    """The log as given."""
     own: Contender
-    """What the logging policy earns."""
+    """Value of the logging policy."""
     baselines: tuple[Contender, ...]
-    """What the log knows of each."""
+    """Evidence of the log on each."""
     notes: tuple[str, ...]
-    """How they were found."""
+    """How they were estimated."""
     level: float
     """Of the intervals."""
     doubt: str | None = None
-    """Why no verdict can rest on the log; None where nothing speaks against it."""
+    """Why no verdict can rest on the log; None if no check fails."""
 
     def problem_of(self, policy: Any) -> Problem:
         """The same log with another policy."""
@@ -114,7 +114,7 @@ class Judge:
         return following(given, target_probabilities(policy, given.logs, given.trajectories, given.model.task))
 
     def case(self, problem: Problem) -> Case:
-        """Fit Q of a policy, and work out what each trajectory says of it."""
+        """Fit Q of a policy, and compute the contribution of each trajectory."""
         return _case("the policy", problem, problem.nuisances)
 
     def evaluation(self, case: Case, is_hourly: bool = False, of_each: float | None = None) -> Evaluation:
@@ -125,9 +125,9 @@ class Judge:
         case
             The policy.
         is_hourly
-            Work out what is earned in an hour of the clock, too.
+            Also estimate the reward per hour of the clock.
         of_each
-            Level of each interval, where the policy was chosen among some and those of all are to hold at once.
+            Level of each interval, if the policy was chosen among several whose intervals must hold simultaneously.
         """
         ours, own, level, problem = case.contender, self.own, of_each or self.level, case.problem
         compared_ = compared(ours, self.baselines, level, problem.excess, self.logs.reward_unit)
@@ -158,9 +158,9 @@ class Judge:
 
 
 def _undecided(found: Evaluation, doubt: str) -> Evaluation:
-    """The same numbers, by which nothing is called better or worse.
+    """The same numbers with an inconclusive verdict.
 
-    What cannot be said anyway keeps its own reason, and the doubt is noted.
+    A verdict that is already inconclusive keeps its reason, and the doubt becomes a note.
     """
 
     def open_(one: Any) -> Any:
@@ -173,9 +173,9 @@ def _undecided(found: Evaluation, doubt: str) -> Evaluation:
 def _contenders(
     baselines: Sequence[Baseline], own: Contender, problem: Problem, logs: Logs, is_logged: bool, is_default: bool
 ) -> tuple[tuple[Contender, ...], tuple[str, ...]]:
-    """What the log knows of each baseline, and how that was found.
+    """Evidence of the log on each baseline, and how it was obtained.
 
-    Where nobody named the baselines, one that the log does not show is left out.
+    A default baseline that the log does not show is omitted.
     """
     contenders, notes, task = [], [], problem.model.task
     for name, policy in ((each.name, each.policy) for each in baselines):
@@ -234,49 +234,49 @@ def evaluate(
     trust: Collection[str] = (),
     workers: Workers = ALONE,
 ) -> Evaluation:
-    """Estimate the value of a policy from a log of another one of which trajectories were right-censored.
+    """Estimate the value of a policy from a log of another policy, with some trajectories right-censored.
 
     Parameters
     ----------
     policy
-        For named actions anything with `actions`, `horizon` and `probabilities`, such as `DiscretePolicy` and
+        For named actions any object with `actions`, `horizon` and `probabilities`, such as `DiscretePolicy` and
         `FixedSequence`; for tables any deterministic `halfseen.world.Policy`, or one mixed with `UniformPolicy`.
     logs
         The log.
     against
-        What the policy is compared with, one or a list (see `halfseen.evaluation.targets.baselines_of`): the logging
-        policy (``"logging"``), the same without its exploration (``"logging-rule"``), a sequence, a rule, another
-        policy. ``"better"`` is better than each. None for the first two; the second is then left out where the log
-        does not show it.
+        One baseline or a list (see `halfseen.evaluation.targets.baselines_of`): the logging policy (``"logging"``), the
+        same without its exploration (``"logging-rule"``), a sequence, a rule, or another policy. The verdict
+        ``"better"`` is better than each. None for the first two; the second is then omitted if the log does not show
+        it.
     censoring
-        What stands for what cuts took away, as for `CensoredQLearner`. With ``DoublyRobust(…)`` the value is doubly
-        robust towards cuts, too; that needs the action of the stage in which a trajectory was cut. None for
-        ``DoublyRobust("cox", by="pooled", truncate_at=10)`` where the log has all actions, else ``"kaplan-meier"``.
+        How the rewards that cuts removed are replaced, as in `CensoredQLearner`. With ``DoublyRobust(…)`` the value is
+        doubly robust towards cuts, too; this needs the actions of cut stages. None for
+        ``DoublyRobust("cox", by="pooled", truncate_at=10)`` if the log has all actions, else ``"kaplan-meier"``.
     q
-        How Q of the policy is fitted; None for one that all stages share, linear in the covariates, their squares and
-        products, and the stage; of a table, as `QSpec` has it.
+        How Q of the policy is fitted; None for one Q for all stages, linear in the covariates, their squares and
+        products, and the stage; for a table, the defaults of `QSpec`.
     propensity
-        ``"logged"``: the column probability; ``"estimated"``: by a conditional logit on what Q looks at.
+        ``"logged"``: the column probability; ``"estimated"``: by a conditional logit on the covariates of Q.
     level
         Of the intervals.
     random_state
-        Seed that deals trajectories into folds, and draws the landmarks of a kernel.
+        Seed for assigning trajectories to folds, and drawing the landmarks of a kernel.
     num_folds
-        Folds of the cross-fitting, and of the jackknife behind the interval of fitted Q.
+        Folds of the cross-fitting, and of the jackknife for the interval of fitted Q.
     is_hourly
-        Work out what is earned in an hour of the clock, too.
+        Also estimate the reward per hour of the clock.
     trust
-        In what the log is trusted, though it looks untrue (`halfseen.evaluation.off_policy.TRUST`): without that its
-        verdict is "inconclusive".
+        Aspects in which the log is trusted although a check fails (`halfseen.evaluation.off_policy.TRUST`); otherwise
+        the verdict is "inconclusive".
     workers
-        Who fits Q without each fold; they begin once a fit takes long. The answer is the same.
+        Workers that fit Q without each fold, used once a fit takes long. The result is the same.
 
     Raises
     ------
     ArgumentError
-        An argument has a value that it cannot take, or policy, log and specifications do not fit together.
+        An argument has an invalid value, or policy, log and specifications do not fit together.
     LogError
-        A probability that is needed was not logged.
+        A required probability was not logged.
     PositivityError
         A weight is not identified.
     """
@@ -300,7 +300,7 @@ def judging(
     trust: Collection[str] = (),
     workers: Workers = ALONE,
 ) -> Iterator[Judge]:
-    """Make a log ready to judge a policy, and others that decide about the same; parameters are those of `evaluate`."""
+    """Prepare a log for evaluating a policy, and others of the same task; parameters as in `evaluate`."""
     check_level(level)
     if propensity not in get_args(Propensity):
         raise ArgumentError(f"propensity is {propensity!r}; it is 'logged' or 'estimated'")

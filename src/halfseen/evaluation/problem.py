@@ -1,4 +1,4 @@
-"""A log, a policy that is judged by it, and all that is fitted before Q: what each trajectory adds to a value."""
+"""A log, a policy to evaluate, and everything fitted before Q, which give the contribution of each trajectory."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -38,11 +38,11 @@ from halfseen.shapes import Bool, Float
 from halfseen.workers import Pool
 
 SURE = 1.0 - 1e-9
-"""From this probability on a log takes no other action."""
+"""With this probability or more, the log takes no other action."""
 
 
 class Problem(NamedTuple):
-    """A log, the probabilities of a policy in it, and all that is fitted before Q."""
+    """A log, the probabilities of a policy in it, and everything fitted before Q."""
 
     logs: Logs
     trajectories: TrajectoryArrays
@@ -55,42 +55,42 @@ class Problem(NamedTuple):
     """Fitted without each fold, and last to all trajectories."""
     ratio: Float[np.ndarray, "n T"]
     support: Float[np.ndarray, " L"]
-    """Of the stages that the log holds."""
+    """Of the stages in the log."""
     beyond: Float[np.ndarray, "n T G"]
-    """Covariates that Q does not look at."""
+    """Covariates that Q does not use."""
     unseen: str | None
-    """An action that the policy takes and that the log never saw completed, in words."""
+    """An action of the policy that was never completed in the log, in words."""
     unexplored: float = 0.0
-    """Share of the stages in which the policy does something else where the log was sure to do what it did."""
+    """Share of the stages in which the policy deviates where the log never did."""
     squared_ratio: float = 1.0
     """E[ρ²] of whole trajectories."""
     is_revealed: bool = False
-    """Whether the log itself says where the policy was followed."""
+    """Whether the log itself reveals where the policy was followed."""
     marginal: Marginal | None = None
-    """Weights by states; None where ρ itself weighs."""
+    """Marginal weights; None to use ρ itself."""
     has_history: bool = False
-    """Whether the log shows that states do not tell all."""
+    """Whether the log shows that states are incomplete."""
     pool: Pool = Pool(None)
-    """Who fits Q."""
+    """Workers that fit Q."""
 
     @property
     def is_imputed(self) -> bool:
-        """Whether begun stages have a target; else completed ones."""
+        """Whether stages that began have a target; otherwise completed ones."""
         return self.nuisances[-1].imputation is not None
 
     @property
     def effective_sample_size(self) -> float:
-        """Of the trajectories that follow the policy."""
+        """Of the trajectories, as weighted for the policy."""
         return self.stage_weights[-1].effective_sample_size
 
     @property
     def stage_weights(self) -> tuple[StageWeights, ...]:
-        """Of the stages that have a target, without each fold, and last of all trajectories."""
+        """Of the stages with a target, without each fold, and last of all trajectories."""
         return self.marginal.by_fold if self.marginal else tuple(self.weights(given) for given in self.nuisances)
 
     @property
     def trajectories_for_one(self) -> float:
-        """How many trajectories like those of the log are worth one that follows the policy, about."""
+        """Approximate number of logged trajectories that are worth one of the policy."""
         size = (self if self.marginal else as_logged(self)).effective_sample_size
         squared = 1.0 if self.marginal else self.squared_ratio
         return squared * self.trajectories.num_trajectories / size if size > 0 else np.inf
@@ -101,32 +101,32 @@ class Problem(NamedTuple):
         return completed_weights(self.ratio, self.nuisances[-1].uncut, self.trajectories)
 
     def weights(self, given: Nuisances) -> StageWeights:
-        """By ρ, of the stages that have a target: begun ones if targets are imputed, else completed ones."""
+        """By ρ, of the stages with a target: those that began if targets are imputed, else completed ones."""
         stage_weights = completed_weights if given.imputation is None else begun_weights
         return stage_weights(self.ratio, given.uncut, self.trajectories)
 
     def settled(self, judged: FittedValues) -> "Problem":
-        """The same with products of ratios where the history of a stage tells more of it than its state."""
+        """The same with products of ratios if the history predicts the outcome of a stage beyond its state."""
         if self.marginal is None or self.history_deviate(judged) <= CLEARLY:
             return self
         return self._replace(marginal=None, has_history=True)
 
     def history_deviate(self, judged: FittedValues) -> float:
-        """How clearly the history of a stage tells more of it than its state."""
+        """How clearly the history predicts the outcome of a stage beyond its state."""
         own, has_target = of_own_fold(judged, self.fold), self.trajectories.is_completed
         has_target = self.trajectories.is_begun if self.is_imputed else has_target
         return history_deviate(own.target - own.taken, has_target, self.trajectories, self.beyond)
 
     def judged(self, nuisances: Sequence[Nuisances]) -> FittedValues:
-        """What the Qs of the policy say that were fitted without each fold; and last that of all, if asked for."""
+        """Fitted values of the policy's Qs without each fold, and last of that of all trajectories, if requested."""
         fit = partial(judged_without, self.model, self.log, self.trajectories.reward, self.fold)
         return FittedValues(*map(np.stack, zip(*self.pool.in_order(fit, enumerate(nuisances)), strict=True)))
 
     def contribution(self, judged: FittedValues, name: str = "") -> Contender:
-        """What each trajectory adds to the doubly robust value."""
+        """Contribution of each trajectory to the doubly robust value."""
         own = of_own_fold(judged, self.fold)
-        # Where weight is put on the actions of the policy alone, what they are worth is the value of the state. So it
-        # may stand for Q, and then the value is right even where a model of the policy says another action.
+        # If only actions of the policy have weight, their Q is the value of the state. So the value may replace Q, and
+        # the result is right even where a model of the policy predicts another action.
         taken = own.value if self.is_revealed else own.taken
         judged = judged._replace(taken=judged.value) if self.is_revealed else judged
         values, without = cross_fitted(judged, self.stage_weights[:-1], self.fold)
@@ -148,7 +148,7 @@ class Problem(NamedTuple):
         )
 
     def errors(self, residual: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
-        """What 1/Ĝ of each completed stage is multiplied by, where the stage adds its weighted residual."""
+        """Factor of 1/Ĝ of each completed stage, given that the stage contributes its weighted residual."""
         uncut = self.nuisances[-1].uncut
         weights = self.marginal.by_fold[-1] if self.marginal else self.completed
         per = uncut_before(uncut) if self.marginal and self.is_imputed else uncut
@@ -156,9 +156,9 @@ class Problem(NamedTuple):
 
     @property
     def uncorrected_weight(self) -> float:
-        """Stages of a trajectory that the regression of cut ones speaks for alone.
+        """Stages of a trajectory for which only the regression of cut stages has information.
 
-        They end so late that completed ones stand for them by no weight, or by a truncated one.
+        They end so late that completed stages represent them with no weight, or with a truncated one.
         """
         imputation = self.nuisances[-1].imputation
         if imputation is None:
@@ -173,7 +173,7 @@ class Problem(NamedTuple):
 
     @property
     def excess(self) -> Float[np.ndarray, "n T"]:
-        """1/Ĝ − 1 of each completed stage: how many like it were cut."""
+        """1/Ĝ − 1 of each completed stage: the number of cut stages that it represents."""
         uncut = self.nuisances[-1].uncut
         return np.where(uncut > 0, uncut - 1.0, 0.0)
 
@@ -181,7 +181,7 @@ class Problem(NamedTuple):
 def problem_of(
     policy: Any, logs: Logs, model: QModel, propensity: str, rng: np.random.Generator, num_folds: int
 ) -> Problem:
-    """Fit all that comes before Q, to all trajectories and without each fold."""
+    """Fit everything before Q, to all trajectories and without each fold."""
     model, trajectories = model.fitted(logs)
     if model.cut_model is None and not logs.is_finished.all():
         raise ArgumentError(
@@ -211,13 +211,13 @@ def problem_of(
 def following(
     problem: Problem, probabilities: Float[np.ndarray, "n T A"], is_taken: Bool[np.ndarray, "n T"] | None = None
 ) -> Problem:
-    """The same log, with another policy; `is_taken` is whether it takes the logged action, where the log says so."""
+    """The same log with another policy; `is_taken` is whether it takes the logged action, if the log reveals it."""
     trajectories = problem.trajectories
     followed = probabilities if is_taken is None else _one_hot(trajectories) * is_taken[..., None]
     uncut = np.stack([given.uncut for given in problem.nuisances])
     single = single_ratios(followed, problem.likely, trajectories)
     marginal = None
-    # A set of objects is no state of covariates that all actions share.
+    # A set of objects is not a state of covariates common to all actions.
     if problem.model.task.is_shared:
         marginal = marginal_weights(single, uncut, trajectories, problem.beyond, problem.fold, problem.is_imputed)
     return problem._replace(
@@ -234,14 +234,14 @@ def following(
 
 
 def as_logged(problem: Problem) -> Problem:
-    """The same log, with the logged action for a policy: ρ is 1, and no propensity is needed."""
+    """The same log, with the logged actions as the policy: ρ is 1, and no propensity is needed."""
     log = problem.log._replace(policy=_one_hot(problem.trajectories))
     ratio = np.ones_like(problem.ratio)
     return problem._replace(log=log, ratio=ratio, squared_ratio=1.0, is_revealed=False, marginal=None)
 
 
 def logging_contribution(problem: Problem, name: str = "") -> Contender:
-    """What each trajectory adds to the logging policy's value; doubly robust, too, where targets are imputed."""
+    """Contribution of each trajectory to the logging policy's value; also doubly robust if targets are imputed."""
     own = as_logged(problem)
     if own.log.imputation is not None:
         return own.contribution(own.judged(own.nuisances[:-1]), name)
@@ -262,13 +262,13 @@ def logging_contribution(problem: Problem, name: str = "") -> Contender:
 
 
 def _one_hot(trajectories: TrajectoryArrays) -> Float[np.ndarray, "n T A"]:
-    """1 for the action that was logged."""
+    """1 for the logged action."""
     is_action = trajectories.action[..., None] == np.arange(trajectories.is_possible.shape[-1])
     return (is_action & trajectories.is_begun[..., None]).astype(np.float64)
 
 
 def _support(probabilities: Float[np.ndarray, "n T A"], trajectories: TrajectoryArrays) -> Float[np.ndarray, " T"]:
-    """Share of the known actions of each stage that the policy would take; 1 where the log has no such stage."""
+    """Share of the known actions of each stage that the policy would take; 1 if the log has no such stage."""
     known = trajectories.is_begun & trajectories.has_action
     taken = np.take_along_axis(probabilities, trajectories.action[..., None], axis=2)[..., 0] > 0
     return np.where(known.any(axis=0), (known & taken).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 1.0)
@@ -277,7 +277,7 @@ def _support(probabilities: Float[np.ndarray, "n T A"], trajectories: Trajectory
 def _unexplored(
     probabilities: Float[np.ndarray, "n T A"], likely: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays
 ) -> float:
-    """Share of the completed stages in which the policy would take another action, though the log could not."""
+    """Share of the completed stages in which the policy would take an action that the log could not take."""
     known = trajectories.is_completed & trajectories.has_action
     taken = np.take_along_axis(probabilities, trajectories.action[..., None], axis=2)[..., 0]
     other = np.where(known & (likely >= SURE), 1.0 - taken, 0.0)
@@ -285,7 +285,7 @@ def _unexplored(
 
 
 def _unseen(probabilities: Float[np.ndarray, "n T A"], trajectories: TrajectoryArrays, model: QModel) -> str | None:
-    """The first action that the policy would take in a stage that was begun, and that has no value."""
+    """The first action without a value that the policy would take in a stage that began."""
     assert model.support is not None
     blocks = model.kinds(probabilities.shape[-1])
     is_taken = ((probabilities > 0) & trajectories.is_begun[..., None]).any(axis=0)

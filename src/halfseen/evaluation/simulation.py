@@ -1,4 +1,4 @@
-"""What policies of tables earn in the simulated world, where nothing is cut and nothing has to be inferred."""
+"""Returns of policies of tables in the simulated world, where nothing is cut and nothing needs to be inferred."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,12 +20,12 @@ from halfseen.world.scene import Scene
 from halfseen.world.table_world import TableWorld
 
 CHUNK_SIZE = 2000
-"""Episodes between two signs of progress."""
+"""Episodes between two progress updates."""
 
 
 @dataclass(frozen=True)
 class WorldEvaluation:
-    """The mean of episodes in the simulated world.
+    """Mean results of episodes in the simulated world.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class WorldEvaluation:
 
 @dataclass(frozen=True)
 class WorldComparison:
-    """A policy beside another one that met the same tables.
+    """A policy compared with another one on the same tables.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class WorldComparison:
     value
         Mean reward of its episodes.
     difference
-        Of the policy's value from that, episode by episode.
+        Value of the policy minus that, by paired episodes.
     """
 
     baseline: str
@@ -65,7 +65,7 @@ class WorldComparison:
 
 
 def evaluate_in_world(policy: Policy, scenes: Sequence[Scene], config: WorldConfig, **how: Any) -> WorldEvaluation:
-    """Let a policy play; the same seed meets every policy with the same tables.
+    """Simulate a policy; with equal seeds, all policies meet the same tables.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def evaluate_in_world(policy: Policy, scenes: Sequence[Scene], config: WorldConf
     Raises
     ------
     ArgumentError, PolicyError, SceneError
-        As by `compare_in_world`.
+        As in `compare_in_world`.
     """
     return compare_in_world(policy, {}, scenes, config, **how)[0]
 
@@ -92,37 +92,37 @@ def compare_in_world(
     level: float = 0.95,
     on_progress: Callable[[int], object] = lambda done: None,
 ) -> tuple[WorldEvaluation, tuple[WorldComparison, ...]]:
-    """Let a policy and others play the same tables.
+    """Simulate a policy and others on the same tables.
 
     Parameters
     ----------
     policy
-        What decides, for the robot that is free where there are several.
+        The policy; with several robots, it decides for the one that is free.
     baselines
-        Other policies by their names; each plays all the episodes, too.
+        Other policies by name; each plays all the episodes, too.
     scenes
-        Where episodes begin, in turn.
+        Initial scenes of the episodes, in turn.
     config
         The world, with the horizon of the policy.
     team
-        The robots; None for one that reaches everything. Robot time is then that of the table's clock.
+        The robots; None for one that reaches everything. Robot time is then the time on the table's clock.
     episodes
-        How many.
+        Number of episodes.
     seed
         Of the world.
     level
         Of the intervals.
     on_progress
-        Called with the number of episodes played since.
+        Called with the number of episodes since the last call.
 
     Raises
     ------
     ArgumentError
-        The policy decides nothing about tables, or `episodes` is below 2.
+        The policy does not decide about tables, or `episodes` is below 2.
     PolicyError
         The policy is for another number of robots, or of their decisions.
     SceneError
-        A scene does not tell a team where its objects stand.
+        A scene does not give a team the places of its objects.
     """
     policies, world = (policy, *baselines.values()), TableWorld.of(team, config)
     layouts, played = world.layouts(scenes), world.played_config

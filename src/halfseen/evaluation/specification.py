@@ -1,7 +1,7 @@
-"""What is decided, and how Q of a policy and the cuts are modelled for its evaluation.
+"""The task of an evaluation, and the models of Q and of the cuts, by default or as a stored policy was learned.
 
-That is by default, or as a stored policy was learned. By default the four models behind a doubly robust value are
-linear in the covariates, the stage and second-order terms, so that each of them may bend, and stages can share one Q.
+By default the four models of a doubly robust value are linear in the covariates, the stage and second-order terms, so
+that each of them can be nonlinear, and stages can share one Q.
 """
 
 from collections.abc import Mapping
@@ -28,11 +28,11 @@ from halfseen.policies.folder import StoredPolicy, q_space_of_record
 from halfseen.policies.folder.stored import refuse_log_of_team
 
 LARGEST_WEIGHT = 10.0
-"""Bound of 1/Ĝ where a user has said nothing of cuts."""
+"""Bound of 1/Ĝ by default."""
 
 LITTLE_REG = 1e-3
-"""λ where a user has said nothing of Q. One that held-out stages choose suits those that are seen to end, and shrinks
-away what is to be said of those that are not; the bias that it leaves is in no interval."""
+"""Default λ. One chosen on held-out stages suits stages that are observed to end, and shrinks the predictions for the
+others; no interval includes that bias."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ class QSpec:
     Parameters
     ----------
     task
-        What is decided; None for what the policy says.
+        The task; None for that of the policy.
     q_function, reg
         As for `halfseen.learning.CensoredQLearner`.
     stages
-        The same; None for pooled ones where stages are alike, as on tables, else separate.
+        The same; None for pooled ones if stages are alike, as for tables, else separate.
     """
 
     task: Task | None = None
@@ -56,14 +56,14 @@ class QSpec:
 
 
 def task_of(policy: Any, logs: Logs) -> Task:
-    """Find out what a policy decides about.
+    """Find the task of a policy.
 
-    Of named actions, the task has those that the policy may take in a stage, and those that were taken there and it
-    never would; covariates are the policy's, with the categories that it knows, or all of the log that hold numbers or
-    text of few categories.
+    For named actions, the task of a stage has the actions that the policy may take and the other actions taken in the
+    log. The covariates are the policy's, with its known categories, or all of the log that hold numbers or text
+    of few categories.
     """
     if isinstance(policy, CrossFitted):
-        # Those of all folds look at the same, and what one of them may take was logged.
+        # The policies of all folds use the same covariates, and their actions were logged.
         return task_of(policy.policies[0], logs)
     if isinstance(policy, NamedActionPolicy):
         refuse_other_names(policy, logs, "the policy")
@@ -78,14 +78,14 @@ def task_of(policy: Any, logs: Logs) -> Task:
         return task.fitted(logs, policy.horizon)
     if logs.objects is None:
         raise ArgumentError(f"{type(policy).__name__} decides nothing about named actions, which the log is of")
-    # Policies of named actions do without the world.
+    # Policies of named actions need no world.
     from halfseen.world.log_checks import robots_in
 
     return task_by(policy, num_robots=robots_in(logs) or None)
 
 
 def task_by(policy: Any, num_robots: int | None = None, **parameters: Any) -> Task:
-    """Find the task of tables by which a policy of tables is evaluated: of K robots where the log or the policy is."""
+    """Find the task of tables for evaluating a policy of tables: of K robots if the log or the policy has them."""
     grasp = getattr(policy, "grasp", None)
     of_policy = None if getattr(type(policy), "num_robots", None) == 1 else getattr(policy, "num_robots", None)
     known = num_robots or of_policy
@@ -95,16 +95,15 @@ def task_by(policy: Any, num_robots: int | None = None, **parameters: Any) -> Ta
 
 
 def is_alike(task: Task) -> bool:
-    """Whether stages of a task are alike, as those of tables are, so that one model may serve them all."""
+    """Whether stages of a task are alike, as those of tables are, so that they can share one model."""
     return task.end_action is not None or bool(getattr(task, "is_joint", False))
 
 
 def default_targets(logs: Logs) -> Targets:
-    """Doubly robust where the log has all actions, by Cox on the clock of stages, with weights truncated; else weights.
+    """Doubly robust if the log has all actions, by Cox on the clock of stages, with truncated weights; else weights.
 
-    Cuts may depend on all that a trajectory has shown so far, and on how long its stage drags on. Where a stage is
-    hardly ever seen to end, no weight is believed beyond `LARGEST_WEIGHT`; there the regression of cut stages has to
-    serve.
+    Cuts may depend on the history of a trajectory, and on the duration of its stage. If a stage is rarely observed to
+    end, weights are truncated at `LARGEST_WEIGHT`, and the regression of cut stages provides the rest.
     """
     if logs.stages["action"].isna().to_numpy().any():
         return Weighted()
@@ -112,7 +111,7 @@ def default_targets(logs: Logs) -> Targets:
 
 
 def default_q(policy: Any, logs: Logs) -> tuple[QSpec, Logs]:
-    """Q of named actions is one for all stages, given the stage and second-order terms, which the log then has."""
+    """Q of named actions is shared by all stages, with the stage and second-order terms added to the log."""
     task = task_of(policy, logs)
     if not isinstance(task, NamedActions):
         return QSpec(task), logs
@@ -121,7 +120,7 @@ def default_q(policy: Any, logs: Logs) -> tuple[QSpec, Logs]:
 
 
 def q_model_of(policy: Any, logs: Logs, targets: Targets, q: QSpec, random_state: int = 0) -> QModel:
-    """Compose how Q of a policy is fitted to a log."""
+    """Compose the model that fits Q of a policy to a log."""
     task = task_of(policy, logs) if q.task is None else q.task
     by_task = "pooled" if is_alike(task) else "separate"
     return QModel(
@@ -136,11 +135,11 @@ def q_model_of(policy: Any, logs: Logs, targets: Targets, q: QSpec, random_state
 
 
 TRAJECTORIES_PER_TERM = 10
-"""Second-order terms need as many trajectories each; where there are fewer, covariates stay as they are."""
+"""Second-order terms need this many trajectories each; with fewer, covariates stay unchanged."""
 
 
 def with_second_order(task: NamedActions, logs: Logs) -> tuple[NamedActions, Logs]:
-    """Add the stage and second-order terms to what a task looks at, and columns of them to its log."""
+    """Add the stage and second-order terms to the covariates of a task, and their columns to its log."""
     fitted = task.fitted(logs, logs.horizon)
     num_features = fitted.looks_at.num_features - ("stage" in task.covariates)
     has_few = comb(num_features, 2) * TRAJECTORIES_PER_TERM <= logs.num_trajectories
@@ -153,7 +152,7 @@ def with_second_order(task: NamedActions, logs: Logs) -> tuple[NamedActions, Log
 
 
 def _terms(looks_at: Covariates, frame: pd.DataFrame) -> dict[str, np.ndarray]:
-    """Products of standardised covariates; the square of one with two values says nothing new."""
+    """Products of standardised covariates; the square of a binary one is omitted as redundant."""
     scaled = {}
     for name, values in zip(looks_at.names, looks_at.encode(frame).T, strict=True):
         if name != "stage":
@@ -165,22 +164,22 @@ def _terms(looks_at: Covariates, frame: pd.DataFrame) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class EvaluationSpec:
-    """What `evaluate` is to be given."""
+    """Arguments for `evaluate`."""
 
     censoring: Targets
-    """What stands for what cuts took away."""
+    """How the rewards that cuts removed are replaced."""
     q: QSpec | None
-    """How Q of the policy is fitted; None for the way of `evaluate`."""
+    """How Q of the policy is fitted; None for the default of `evaluate`."""
 
     def as_dict(self) -> dict[str, Any]:
-        """How cuts were dealt with, ready for JSON."""
+        """How cuts were treated, ready for JSON."""
         by = getattr(self.censoring, "by", None)
         is_doubly_robust = isinstance(self.censoring, DoublyRobust)
         return {"augmented": is_doubly_robust, "censoring": self.censoring.name, "censoring_by": by}
 
 
 def specification_of(stored: StoredPolicy, logs: Logs, **chosen: Any) -> EvaluationSpec:
-    """Say how to evaluate a policy that was read: as it was learned, but for what is chosen (see `specification`)."""
+    """Specify the evaluation of a stored policy: as it was learned, except for what is chosen (see `specification`)."""
     refuse_log_of_team(stored, logs)
     return specification(stored.policy, stored.record["learner"], logs, **chosen)
 
@@ -196,25 +195,25 @@ def specification(
     truncate_at: float | None = None,
     augmented: bool | None = None,
 ) -> EvaluationSpec:
-    """Say how to evaluate a policy: with the cuts that it was learned with, if any were named, but for what is chosen.
+    """Specify the evaluation of a policy: with the cuts that it was learned with, if given, except for what is chosen.
 
-    Q of named actions is fitted as `evaluate` does by itself, for what is good enough to choose an action by may be
-    too plain to tell its value.
+    Q of named actions is fitted by the default of `evaluate`, because a Q that is good enough for choosing actions may
+    be too simple for estimating values.
 
     Parameters
     ----------
     policy
         The policy.
     learned
-        The parameters that it was learned with. A model of the cuts that has no name, is none, or is Kaplan and Meier's
-        as if nothing was said, gives way to that of `default_targets`.
+        The parameters that it was learned with. A model of the cuts that is unnamed, absent or Kaplan–Meier (the
+        default) is replaced by that of `default_targets`.
     logs
         The log that it is evaluated on.
     censoring, censoring_by, censoring_covariates, truncate_at
-        As for `named_targets`; None for those of the policy, and of doubly robust targets no weight above
-        `LARGEST_WEIGHT`.
+        As for `named_targets`; None for those of the policy, and for truncation at `LARGEST_WEIGHT` with doubly robust
+        targets.
     augmented
-        Doubly robust towards cuts; None where the log has all actions.
+        Doubly robust towards cuts; None: if the log has all actions.
     """
     own = learned.get("censoring")
     is_complete = bool(logs.stages["action"].notna().all())
@@ -228,7 +227,7 @@ def specification(
         return EvaluationSpec(default_targets(logs), q)
     model = censoring or (own if own in CENSORING_NAMES else "kaplan-meier")
     bound = learned.get("truncate_at") if truncate_at is None else truncate_at
-    # What cuts were said to depend on holds for the same model alone.
+    # The covariates of cuts apply to the same model only.
     depends_on = learned.get("censoring_covariates") if own == model else None
     targets = named_targets(
         model,

@@ -1,15 +1,15 @@
-"""Whether policies of a table of states beat what made the log: doubly robust by state and action, cross-fitted.
+"""Whether policies of a table of states beat the logging policy: doubly robust by state and action, cross-fitted.
 
-With ν(s, a) how often a policy comes to a cell in a trajectory, if nothing is cut, and m(s, a) how often the log
-completes it, a trajectory adds
+With ν(s, a) the expected number of visits of a policy to a cell per trajectory, without cuts, and m(s, a) the expected
+number of its completions in a logged one, a trajectory contributes
 
     V̂(S₁) + Σ_t ν̂(S_t, A_t)/m̂(S_t, A_t) · (R_t + V̂(S_{t+1}) − Q̂(S_t, A_t))
 
-over its completed stages, whose mean is the value of the policy where either Q̂ or ν̂/m̂ is right
-[KallusUehara2020]_; that cuts come sooner in some states is part of m. Q̂, ν̂ and m̂ are of the trajectories outside its
-fold, as is the policy: means of cells, shrunk as those that the policy was learned from (`halfseen.learning.tabular`).
-What leads from state to state does not depend on the stage, so a completed stage serves each number of stages to go, as
-there; one that the horizon ended the last alone.
+over its completed stages, with mean the value of the policy if either Q̂ or ν̂/m̂ is right [KallusUehara2020]_; m
+includes that cuts come sooner in some states. Q̂, ν̂ and m̂ are fitted outside the trajectory's fold, like the policy:
+means of cells, shrunk as those that the policy was learned from (`halfseen.learning.tabular`). Transitions do not
+depend on the stage, so a completed stage is used for each number of stages to go, as there; one that the horizon ended
+is used for the last only.
 """
 
 from statistics import NormalDist
@@ -27,24 +27,24 @@ from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float, Int
 
 FEWEST_STAGES = 10.0
-"""Of a cell that policies come to, on harmonic average; with fewer, no interval is believed."""
+"""Harmonic mean of the completed stages in the cells that policies visit; with fewer, no interval is valid."""
 WIDER = 3.0
-"""Over these stages, what the means of few stages add to the variance: our choice, made on random worlds whose actions
-all do the same (`benchmarks/published/icu_verdicts.py` judges by others)."""
+"""The variance is multiplied by 1 + `WIDER`/stages for the noise in means of few stages: our choice, made on random
+worlds in which all actions are equal (`benchmarks/published/icu_verdicts.py` evaluates on others)."""
 ROUNDING = 1e-12
 
 
 class Gain(NamedTuple):
-    """What policies earn more than what made the log."""
+    """Gain of policies over the logging policy."""
 
     value: float
     low: float
     high: float
     num_stages: float
-    """Completed stages of a cell that the policies come to, on harmonic average, of the fold that has fewest."""
+    """Harmonic mean of the completed stages in the cells that the policies visit, in the fold with the fewest."""
 
     def verdict(self, level: float) -> tuple[Verdict, str]:
-        """Whether that is better, and why."""
+        """The verdict, and its reason."""
         if self.num_stages < FEWEST_STAGES:
             few = f"actions that it takes were completed {self.num_stages:.1f} times a state"
             return "inconclusive", f"{few}, and {FEWEST_STAGES:.0f} are needed; record more"
@@ -61,7 +61,7 @@ class _Rows(NamedTuple):
     state: Int[np.ndarray, " m"]
     action: Int[np.ndarray, " m"]
     successor: Int[np.ndarray, " m"]
-    """S after a trajectory's own end."""
+    """S after a trajectory finished."""
     reward: Float[np.ndarray, " m"]
     stage: Int[np.ndarray, " m"]
     """From 0."""
@@ -71,9 +71,9 @@ class _Rows(NamedTuple):
 
 
 def gain_of(policy: CrossFitted, model: QModel, logs: Logs, kappa: float, level: float = 0.95) -> Gain:
-    """Estimate what policies that were learned without each fold earn more than the logging policy.
+    """Estimate the gain over the logging policy of policies that were learned without each fold.
 
-    They look at one covariate, the name of a state, which the model's task numbers; the mean of a state counts for κ
+    They use one covariate, the name of a state, which the model's task numbers; the mean of a state counts for κ
     stages.
     """
     trajectories = model.lay_out(logs)
@@ -94,7 +94,7 @@ def gain_of(policy: CrossFitted, model: QModel, logs: Logs, kappa: float, level:
 
 
 class _Means:
-    """What some completed stages say of each state, and of each action there."""
+    """Estimates from some completed stages for each state, and for each action there."""
 
     def __init__(self, rows: _Rows, shape: tuple[int, int], num: int, kappa: float) -> None:
         self.num_actions, (num_states, num_actions) = shape[1], shape
@@ -105,7 +105,7 @@ class _Means:
         self.completed, self.completed_of_state = n / num, n_of_state / num
 
     def following(self, choice: Int[np.ndarray, " S"] | None) -> tuple[Float[np.ndarray, " S"], Any]:
-        """Reward, and moves from state to state, where this action is taken in each state; None for the log's own."""
+        """Reward, and transition matrix, if this action is taken in each state; None for the logging policy."""
         if choice is None:
             return self.reward_of_state, self.moves_of_state
         at = np.arange(len(choice)) * self.num_actions + choice
@@ -126,7 +126,7 @@ class _Means:
 
 
 class _World:
-    """What trajectories outside a fold tell of the world, and of policies in it."""
+    """Model of the world, and of policies in it, from the trajectories outside a fold."""
 
     def __init__(
         self, rows: _Rows, first: Int[np.ndarray, " n"], shape: tuple[int, int], kappa: float, horizon: int
@@ -138,7 +138,7 @@ class _World:
     def added(
         self, choices: Int[np.ndarray, "T S"] | None, rows: _Rows, first: Int[np.ndarray, " n"]
     ) -> Float[np.ndarray, " n"]:
-        """What each trajectory adds to the value of what acts so in each stage and state; None for the log's own."""
+        """Contribution of each trajectory to the value of a policy, by stage and state; None for the logging policy."""
         chosen = [None if choices is None else choices[t] for t in range(self.horizon)]
         ways = [(self.every if t == self.horizon - 1 else self.going).following(chosen[t]) for t in range(self.horizon)]
         value = [np.zeros(len(self.start))]
@@ -155,7 +155,7 @@ class _World:
         return total
 
     def num_stages(self, choices: Int[np.ndarray, "T S"]) -> float:
-        """Completed stages of a cell that a policy comes to, on harmonic average."""
+        """Harmonic mean of the completed stages in the cells that a policy visits."""
         visits, inverse, total = self.start, 0.0, 0.0
         for choice in choices[:-1]:
             n = self.going.n[np.arange(len(choice)) * self.going.num_actions + choice]
@@ -164,7 +164,7 @@ class _World:
         return total / inverse if inverse > 0 else np.inf
 
     def _known(self, value: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
-        """The same; a state that was never seen is worth what others are."""
+        """The same; an unseen state has the mean value of the others."""
         seen = self.every.completed_of_state
         return np.where(seen > 0, value, np.average(value, weights=seen))
 
@@ -172,7 +172,7 @@ class _World:
 def _means(
     group: Int[np.ndarray, " m"], rows: _Rows, size: int, num_states: int
 ) -> tuple[Float[np.ndarray, " g"], Any, Int[np.ndarray, " g"]]:
-    """Mean reward, share of successors and number of rows by group; 0 of an empty one."""
+    """Mean reward, distribution of successors and number of rows by group; 0 for an empty one."""
     n = np.bincount(group, minlength=size)
     each, goes_on = 1.0 / np.maximum(n, 1), rows.successor < num_states
     pairs = (group[goes_on], rows.successor[goes_on])
@@ -194,7 +194,7 @@ def _rows_of(trajectories: TrajectoryArrays, num_states: int) -> _Rows:
 
 
 def _choices_of(policy: DiscretePolicy) -> Int[np.ndarray, "T S"]:
-    """Its action in each stage and state."""
+    """The policy's action in each stage and state."""
     q = policy.coefficients.copy()
     q[..., 1:] += q[..., :1]
     return np.argmax(np.where(policy.is_possible[..., None], q, -np.inf), axis=1)

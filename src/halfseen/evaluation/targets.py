@@ -1,6 +1,6 @@
-"""What a policy that is evaluated, or compared with, would have done in each stage of a log: π(a | S_t).
+"""Probabilities π(a | S_t), in each stage of a log, of a policy to evaluate or of a baseline.
 
-Compared with are the logging policy, with and without its exploration, sequences, rules, others.
+Baselines are the logging policy, with and without its exploration, sequences, rules and other policies.
 """
 
 from collections.abc import Hashable, Sequence
@@ -28,7 +28,7 @@ from halfseen.suggestions import composed
 
 @dataclass(frozen=True)
 class FixedSequence:
-    """Takes the same action for everyone, one for each stage: what a policy has to beat.
+    """A policy that takes the same action in every state of a stage; a baseline.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class FixedSequence:
 
     @property
     def actions(self) -> tuple[Hashable, ...]:
-        """Names, in the order in which they first appear."""
+        """Names, in the order of their first use."""
         return tuple(dict.fromkeys(self.sequence))
 
     @property
@@ -67,27 +67,27 @@ class FixedSequence:
 
 @dataclass(frozen=True, eq=False)
 class CrossFitted:
-    """One policy for each fold of a log, which decides for its trajectories and was learned from the others."""
+    """One policy per fold of a log, which decides for its trajectories and was learned from the others."""
 
     policies: tuple[Any, ...]
-    """Of each fold, what the task takes for a policy."""
+    """Of each fold, in the form that the task accepts."""
     fold: Int[np.ndarray, " n"]
     """Of each trajectory."""
     horizon: int
     """Number T of stages."""
 
     def more_cautious(self, times: float) -> "CrossFitted":
-        """The same policies with so many times their margins."""
+        """The same policies with their margins multiplied."""
         return replace(self, policies=tuple(more_cautious(policy, times) for policy in self.policies))
 
     def target_probabilities(self, logs: Logs, horizon: int, task: Task) -> Float[np.ndarray, "n T A"]:
-        """π(a | S_t) of every stage that was begun, of a policy or one for each fold; 0 elsewhere."""
+        """π(a | S_t) of every stage that began, by the policy of each trajectory's fold; 0 elsewhere."""
         each = np.stack([task.target_probabilities(policy, logs, horizon) for policy in self.policies])
         return each[self.fold, np.arange(logs.num_trajectories)]
 
 
 def refuse_other_names(policy: NamedActionPolicy, logs: Logs, who: str) -> None:
-    """Refuse a policy whose actions are whole numbers where the log's are text, or the other way round."""
+    """Refuse a policy whose actions are whole numbers if the log's are text, or vice versa."""
     logged: list[Any] = logs.stages["action"].dropna().unique().tolist()
     composed_as = {composed(name): name for name in logged if isinstance(name, str)}
     for name in policy.actions:
@@ -108,7 +108,7 @@ def refuse_other_names(policy: NamedActionPolicy, logs: Logs, who: str) -> None:
 
 
 def horizon_of(policy: Any, default: int) -> int:
-    """Stages that a policy is for."""
+    """Number of stages of a policy."""
     coefficients = getattr(policy, "coefficients", None)
     by_coefficients = None if coefficients is None else coefficients.shape[-3]
     return int(getattr(policy, "horizon", None) or by_coefficients or default)
@@ -117,7 +117,7 @@ def horizon_of(policy: Any, default: int) -> int:
 def target_probabilities(
     policy: Any, logs: Logs, trajectories: TrajectoryArrays, task: Task
 ) -> Float[np.ndarray, "n T A"]:
-    """π(a | S_t) of every stage that was begun, of a policy or one for each fold; 0 elsewhere."""
+    """π(a | S_t) of every stage that began, for a policy or one per fold; 0 elsewhere."""
     horizon = trajectories.action.shape[1]
     if isinstance(policy, CrossFitted):
         probabilities = policy.target_probabilities(logs, horizon, task)
@@ -140,19 +140,19 @@ def target_probabilities(
 
 
 LOGGING, LOGGING_RULE = "logging", "logging-rule"
-"""The logging policy as it was, and what it does where it does not explore."""
+"""The logging policy, and the same without its exploration."""
 DEFAULT = (LOGGING, LOGGING_RULE)
 SEQUENCE = "sequence:"
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """What a policy is compared with.
+    """A policy to compare with.
 
     Parameters
     ----------
     policy
-        ``"logging"``, ``"logging-rule"``, or anything that `evaluate` takes for a policy.
+        ``"logging"``, ``"logging-rule"``, or any policy that `evaluate` accepts.
     name
         In plain words, as in "better than …".
     """
@@ -162,16 +162,16 @@ class Baseline:
 
 
 def baselines_of(against: Any, logs: Logs) -> tuple[Baseline, ...]:
-    """Understand what `evaluate` is given to compare a policy with.
+    """Parse the baselines given to `evaluate`.
 
     Parameters
     ----------
     against
-        One, or a list of: ``"logging"``, ``"logging-rule"``; an `Baseline` with a name of its own; a policy; a function
-        of covariates and stage that names an action for each row; a text ``"sequence:A,B,A"``; or a trajectory of a CSV
-        or TOML rule, or of a policy folder.
+        One, or a list of: ``"logging"``, ``"logging-rule"``; a `Baseline` with its own name; a policy; a function of
+        covariates and stage that returns an action for each row; a string ``"sequence:A,B,A"``; or a path of a CSV or
+        TOML rule, or of a policy folder.
     logs
-        The log that the comparison rests on.
+        The log of the comparison.
     """
     given = list(against) if isinstance(against, list | tuple) else [against]
     if not given:
@@ -232,7 +232,7 @@ def _stages(logs: Logs) -> Sequence[tuple[int, Any]]:
 
 @dataclass(frozen=True)
 class _KnownActions:
-    """A policy less the actions that the task does not have, and that it takes nowhere in the log."""
+    """A policy without the actions that the task does not have and that it never takes in the log."""
 
     policy: Any
     actions: tuple[Hashable, ...]
@@ -246,7 +246,7 @@ class _KnownActions:
 def baseline_probabilities(
     policy: Any, name: str, logs: Logs, trajectories: TrajectoryArrays, task: Task
 ) -> Float[np.ndarray, "n T A"] | str:
-    """π(a | S_t) of a baseline in every begun stage; or in words, the action that it takes and the log has not."""
+    """π(a | S_t) of a baseline in every stage that began; or, in words, its action that the log does not have."""
     horizon = trajectories.action.shape[1]
     own = horizon_of(policy, horizon)
     if own < (logs.horizon if isinstance(task, NamedActions) else horizon):
@@ -269,7 +269,7 @@ def baseline_probabilities(
 
 
 def _unknown_action(policy: NamedActionPolicy, logs: Logs, task: NamedActions) -> str | None:
-    """The first action that it takes in a stage where the task has none of that name."""
+    """The first action that the policy takes in a stage and that the task does not have."""
     for stage, frame in _stages(logs):
         possible = [name for name, is_it in zip(task.names, task.possible(stage), strict=True) if is_it]
         taken = np.asarray(policy.probabilities(frame, stage)).max(axis=0) > 0

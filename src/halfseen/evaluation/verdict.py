@@ -1,31 +1,31 @@
-"""Better than a baseline, not better, or inconclusive; why, in one plain sentence; and how many would decide.
+"""Better than a baseline, not better, or inconclusive; the reason in one plain sentence; and the sample size needed.
 
-The half-width of an interval shrinks as 1/√n: its standard error σ is the spread of what trajectories add, and the bias
-β that it allows for is of stages that more trajectories see end. With a difference of δ,
+The half-width of an interval shrinks as 1/√n: its standard error σ is the spread of the contributions of trajectories,
+and the bias β that it allows for is due to stages whose ends a longer log would show. With a difference of δ,
 
     n* = n·((β + (z₀.₉₇₅ + z₀.₈) σ) / |δ|)²
 
-trajectories show it in four logs of five. For δ stands what Q alone says, which errs less than the estimate that has to
-be shown, and not with it: a log that missed a difference has most often a low estimate of it. Its σ is most often too
-large, for one heavy residual suffices; so σ is that of residuals that are all alike, where weights are known, and
-`REST` times as much for what else is fitted. δ is taken to be known to σ.
+trajectories show it in four logs of five. δ is the difference by Q alone, which has a smaller error than the estimate
+to be tested, and an independent one: a log that missed a difference usually has a low estimate of it. The estimated σ
+of such a log is usually too large, because one heavy residual suffices. So σ is that of residuals of equal size, if
+weights are known, multiplied by `REST` for everything else that is fitted. δ is taken to be known up to σ.
 
-How strong a cause of cuts that was not recorded would have to be to undo a verdict (Γ).
+Sensitivity to a cause of cuts that was not recorded (Γ).
 
-Weights 1/Ĝ are right if, given what was recorded, cuts have nothing to do with what would have followed. Suppose that
-something else has a say, and that of two stages which look alike it makes the odds of being seen to the end up to Γ
-times as large for one as the model has it, and as small for another: the true weight of a completed stage is then some
+Weights 1/Ĝ are right if, given what was recorded, cuts are independent of the future. Suppose that there is another
+cause, and that among stages that look alike it changes the odds of being observed to the end by up to a factor of Γ
+relative to the model, in either direction: the true weight of a completed stage is then some
 
     w* ∈ [1 + (w − 1)/Γ, 1 + (w − 1)Γ],    w = 1/Ĝ(U_t⁻)
 
-(the marginal sensitivity model [Tan2006]_). Weights of a stage have a known mean, so what one stage gains another
-loses [DornGuo2023]_. Of all such weights those that shift Σ_t E[w* v_t] most, v the weighted error of Q, give Γ to the
-stages below the 1/(Γ + 1)-quantile of v (by w − 1), and 1/Γ to those above, or the other way round.
+(the marginal sensitivity model [Tan2006]_). Weights of a stage have a known mean, so what one stage gains another loses
+[DornGuo2023]_. Among these weights, those that shift Σ_t E[w* v_t] most, with v the weighted error of Q, assign Γ to
+the stages below the 1/(Γ + 1)-quantile of v (by w − 1), and 1/Γ to those above, or vice versa.
 
-Γ is where the end of the interval that lies nearer to 0, shifted by so much, reaches it. v holds the whole error of Q,
-of which the regression of cut stages may know a part; so the true Γ is as large or larger. That the interval itself
-would be another under other weights is left out. Γ of 1 trusts the model, and
-2 is a cause which doubles or halves the odds.
+Γ is the value at which the interval, shifted by this amount, reaches 0 with its nearer end. v holds the whole error of
+Q, part of which the regression of cut stages may predict; so the true Γ is as large or larger. The effect of other
+weights on the width of the interval is ignored. Γ = 1 trusts the model; Γ = 2 is a cause that doubles or halves the
+odds.
 """
 
 from dataclasses import dataclass
@@ -41,32 +41,32 @@ from halfseen.shapes import Float
 Verdict = Literal["better", "not better", "inconclusive"]
 
 FEWEST_TRAJECTORIES = 10.0
-"""Below this effective sample size no interval is believed where products of ratios weigh."""
+"""Effective sample size below which no interval is valid with products of ratios."""
 
 FEWEST_BY_STATES = 2.0
-"""The same where states weigh, whose spread is known from more trajectories than the one that leads to them."""
+"""The same with marginal weights, whose spread is estimated from more trajectories."""
 
 MOST_UNEXPLORED = 0.02
-"""Share of the stages from which on Q alone would speak for the policy."""
+"""Share of the stages above which Q alone would decide for the policy."""
 
 LEVEL = 0.95
-"""Where nothing else is said."""
+"""The default."""
 
 MANY_TRAJECTORIES = 1e6
-"""More than anybody records."""
+"""A larger log is impractical."""
 
 
 REST = 1.15
 """Our choice, made on logs of the cell in `examples/bin_cell`."""
 POWER = 0.8
-"""Share of the logs that are to decide."""
+"""Probability that a log decides."""
 MANY_TIMES = 100.0
-"""More than so many times as many trajectories nobody records."""
+"""A longer log by more than this factor is impractical."""
 
 
 @dataclass(frozen=True)
 class Needed:
-    """How many times as many trajectories decide, at least 1; ∞ where no log of a size that can be recorded does."""
+    """Factor by which a log must grow to decide, at least 1; ∞ if no practical log does."""
 
     times: float
     low: float
@@ -76,7 +76,7 @@ class Needed:
 
 
 def needed(difference: Estimate, gain: float, level: float, alike: float | None = None) -> Needed:
-    """Tell n*/n, and between what it lies as far as δ is known.
+    """Compute n*/n, and its range for the uncertainty of δ.
 
     Parameters
     ----------
@@ -85,9 +85,9 @@ def needed(difference: Estimate, gain: float, level: float, alike: float | None 
     gain
         δ.
     level
-        Of the interval that is to exclude 0.
+        Of the interval, which is to exclude 0.
     alike
-        Standard error if all residuals were alike; None if it is not known.
+        Standard error if all residuals were of equal size; None if not known.
     """
     normal, error = NormalDist(), REST * alike if alike else difference.standard_error
     reach = difference.bias + (normal.inv_cdf((1.0 + level) / 2.0) + normal.inv_cdf(POWER)) * error
@@ -109,26 +109,26 @@ def why_unknown(
     fewest: float = FEWEST_TRAJECTORIES,
     unexplored: float = 0.0,
 ) -> str | None:
-    """Say why a log tells nothing of what a policy earns; None if it does.
+    """Return why a log does not identify the value of a policy; None if it does.
 
     Parameters
     ----------
     who
         The policy, or its baseline.
     support
-        Of each stage that the log holds, the share of the logged actions that it would take at all.
+        For each stage in the log, the share of the logged actions to which it gives positive probability.
     effective_sample_size
-        Of the trajectories that follow it.
+        Of the trajectories, as weighted for the policy.
     unseen
-        An action that it takes and that the log never saw completed.
+        An action of the policy that was never completed in the log.
     num_trajectories
         Trajectories of the log.
     trajectories_for_one
-        How many trajectories like those of the log are worth one that follows it.
+        Number of logged trajectories that are worth one of the policy.
     fewest
-        The least effective sample size that is believed.
+        The smallest effective sample size that is accepted.
     unexplored
-        Share of the stages in which it does something else where the log was sure to do what it did.
+        Share of the stages in which the policy deviates where the log never did.
     """
     if unseen is not None:
         return (
@@ -172,20 +172,20 @@ def verdict_of(
     unit: str | None = None,
     more: Needed | None = None,
 ) -> tuple[Verdict, str]:
-    """Judge by the interval of the paired difference.
+    """Decide by the interval of the paired difference.
 
     Parameters
     ----------
     difference
-        Value of the policy less that of the baseline.
+        Value of the policy minus that of the baseline.
     baseline
         Its name.
     is_significant
-        Whether an interval without 0 still counts, given how many were looked at.
+        Whether an interval without 0 is significant after the adjustment for several baselines.
     unit
-        What rewards are counted in; None if nobody has said.
+        Unit of rewards; None if not given.
     more
-        How many times as many trajectories would decide, if that is known.
+        Factor by which a log must grow to decide, if known.
     """
     of = f" {unit}" if unit else ""
     within = _between(difference.low, difference.high, of)
@@ -203,7 +203,7 @@ def verdict_of(
 
 
 def _between(low: float, high: float, of: str) -> str:
-    """Ends of an interval of a gain, as how much less and how much more."""
+    """Ends of an interval of a gain in words, as less and more."""
     if low < 0 < high:
         return f"between {-low:.3g} less and {high:.3g}{of} more"
     if high <= 0:
@@ -220,18 +220,18 @@ def _more_trajectories(more: Needed) -> str:
 
 
 STRONGEST = 100.0
-"""Γ beyond which nothing is looked for."""
+"""Largest Γ that is considered."""
 
 
 def shift(excess: Float[np.ndarray, "n T"], error: Float[np.ndarray, "n T"], gamma: float) -> float:
-    """The furthest that causes of strength Γ ≥ 1 take Σ_t E[w v_t] down, by w − 1 of stages and v."""
+    """Largest downward shift of Σ_t E[w v_t] by causes of strength Γ ≥ 1, given w − 1 of stages and v."""
     return float(sum(_shift(*columns, gamma) for columns in zip(excess.T, error.T, strict=True)) / len(excess))
 
 
 def undone_at(difference: Estimate, excess: Float[np.ndarray, "n T"], error: Float[np.ndarray, "n T"]) -> float:
-    """Γ that takes an interval to 0, by w − 1 of each completed stage and what w is multiplied by in the difference.
+    """Γ that moves an interval to 0, given w − 1 of each completed stage and the factor of w in the difference.
 
-    1 where the interval holds 0 already; `STRONGEST` where nothing weaker does it.
+    1 if the interval already contains 0; `STRONGEST` if no weaker cause suffices.
     """
     is_above = difference.value > 0
     lead = difference.low if is_above else -difference.high
@@ -245,7 +245,7 @@ def undone_at(difference: Estimate, excess: Float[np.ndarray, "n T"], error: Flo
 
 
 def in_words(gamma: float) -> str:
-    """Say how much it would take, in one sentence."""
+    """State the required strength of a cause in one sentence."""
     how = f"more than {STRONGEST:g}" if gamma >= STRONGEST else f"{gamma:.2g}"
     if gamma < 1.05:
         return "Any cause of cuts that is not in the log could undo this"
@@ -256,10 +256,10 @@ def in_words(gamma: float) -> str:
 
 
 def _shift(excess: Float[np.ndarray, " n"], error: Float[np.ndarray, " n"], gamma: float) -> float:
-    """The same of one stage, summed over trajectories."""
+    """The same for one stage, summed over trajectories."""
     order = np.argsort(error, kind="stable")
     excess, error = np.maximum(excess[order], 0.0), error[order]
     total = excess.sum()
-    # Of each stage as much of its excess gets Γ as lies below the quantile: of one all, of the next a part, then none.
+    # Γ applies to the excess below the quantile: fully to the first stages, partly to the next, and not to the rest.
     raised = np.clip(total / (gamma + 1.0) - (np.cumsum(excess) - excess), 0.0, excess)
     return float(np.sum(error * ((gamma - 1.0) * raised - (1.0 - 1.0 / gamma) * (excess - raised))))

@@ -1,37 +1,38 @@
-"""What each trajectory stands for under the policy that is evaluated, and the doubly robust value that it adds up to.
+"""Importance weights of trajectories for the policy to evaluate, and the doubly robust value.
 
-*How likely the logging policy was* to take what it took is logged, or estimated by a conditional logit of the logged
-actions (`learning.behaviour`). Each stage has its own, or pooled stages share one.
+*Propensities* of the logged actions under the logging policy are logged, or estimated by a conditional logit
+(`learning.behaviour`), one per stage or one for all pooled stages.
 
-*Weights*, as if nothing had been cut. With ρ_t = Π_{s≤t} π(A_s | S_s) / b(A_s | S_s), a stage that was completed weighs
-ρ_t δ_t / Ĝ(U_t⁻), and one that was begun ρ_t / Ĝ(U_{t−1}⁻). A trajectory that has come to its own end stays in the sums
-with its last weight, for a cut would not have changed what comes after: nothing. So the weights of every stage have
-mean 1, and dividing by their mean takes out much of their noise (self-normalised, or weighted, importance sampling).
+*Weights* correct for the policy and for cuts. With ρ_t = Π_{s≤t} π(A_s | S_s) / b(A_s | S_s), a completed stage has
+weight ρ_t δ_t / Ĝ(U_t⁻), and a stage that began has ρ_t / Ĝ(U_{t−1}⁻). A trajectory that has finished stays in the sums
+with its last weight, because a cut could not change its future, which is empty. So the weights of every stage have
+mean 1, and dividing by their sample mean removes much of their noise (self-normalised, or weighted, importance
+sampling).
 
-*The doubly robust value* of a policy under censoring, trajectory by trajectory:
+*The doubly robust value* of a policy under censoring has the contributions
 
     φ_i = V̂_1(S_i1) + Σ_t w_it (Y_it − Q̂_t(S_it, A_it))
 
-Doubly robust towards cuts (AIPCW), Y is the pseudo-outcome of `learning.imputation`, which every begun stage has, and
-w_it = ρ_it / Ĝ(U_{i,t−1}⁻). Given that a stage began, E[Y | S_t, A_t] = E[X | S_t, A_t] if Ĝ is right or if the
-regressions m of X and of the duration are. So
+of trajectories. In the version that is doubly robust towards cuts (AIPCW), Y is the pseudo-outcome of
+`learning.imputation`, defined for every stage that began, and w_it = ρ_it / Ĝ(U_{i,t−1}⁻). Given that a stage began,
+E[Y | S_t, A_t] = E[X | S_t, A_t] if Ĝ is right or if the regressions m of X and of the duration are. So
 
 * if ρ and Ĝ are right, E[V̂_1] + Σ_t E[ρ_t (R_t + V̂_{t+1}(S_{t+1}) − Q̂_t(S_t, A_t))] telescopes to the value,
-  whatever Q̂ is, for E[ρ_{t+1} Q̂_{t+1}(S_{t+1}, A_{t+1})] = E[ρ_t V̂_{t+1}(S_{t+1})];
-* if Q̂ and m are right, each term has mean 0 given (S_t, A_t), whatever ρ and Ĝ are, as long as what cuts a stage
-  depends on no more than the trajectory until then.
+  whatever Q̂ is, because E[ρ_{t+1} Q̂_{t+1}(S_{t+1}, A_{t+1})] = E[ρ_t V̂_{t+1}(S_{t+1})];
+* if Q̂ and m are right, each term has mean 0 given (S_t, A_t), whatever ρ and Ĝ are, as long as the cut of a stage
+  depends only on the trajectory until then.
 
-Simple, w_it = ρ_it δ_it / Ĝ(U_it⁻) and Y is X = R_t + V̂_{t+1}(S_{t+1}), of completed stages alone. The first of the
-two holds; the second only where durations say nothing of X beyond (S_t, A_t), for slow stages are cut more often. On
-decisions without cuts this is the estimator of [JiangLi2016]_ and [ThomasBrunskill2016]_; the pseudo-outcomes are those
-of [Robins1992]_. *Fitted Q evaluation* under censoring [Le2019]_ is eq. 3 with the policy's own action in place of the
-best one.
+In the simple version, w_it = ρ_it δ_it / Ĝ(U_it⁻) and Y is X = R_t + V̂_{t+1}(S_{t+1}), of completed stages alone. The
+first statement holds; the second only if durations carry no information on X beyond (S_t, A_t), because slow stages are
+cut more often. Without cuts this is the estimator of [JiangLi2016]_ and [ThomasBrunskill2016]_; the pseudo-outcomes are
+those of [Robins1992]_. *Fitted Q evaluation* under censoring [Le2019]_ is eq. 3 with the policy's action instead of the
+maximum.
 
-*Cross-fitting*: Ĝ, Q̂ and m are fitted without the trajectory's own fold [Chernozhukov2018]_. *Delete-a-group jackknife*
-[Kott2001]_: all is fitted without each fold, and the value worked out on the other trajectories. The scatter of these
-values tells the standard error of the whole procedure. That of the influence values, which takes Ĝ, m and Q for given,
-is too small wherever the answer rests on them: stages that are hardly ever seen to end are imputed, and the error of
-the regression that does so is common to all trajectories.
+*Cross-fitting*: Ĝ, Q̂ and m are fitted without the trajectory's own fold [Chernozhukov2018]_. *Delete-a-group
+jackknife* [Kott2001]_: everything is fitted without each fold, and the value computed on the other trajectories. The
+scatter of these values gives the standard error of the whole procedure. That of the influence values, which treats Ĝ, m
+and Q as known, is too small where the result depends on them: stages that are rarely observed to end are imputed, and
+the error of that regression is common to all trajectories.
 """
 
 from collections.abc import Iterator, Sequence
@@ -55,7 +56,7 @@ Propensity = Literal["logged", "estimated"]
 
 
 def logged_propensity(trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
-    """Take the column ``probability``; 1 where it is not needed."""
+    """Return the column ``probability``; 1 where it is not needed."""
     missing = is_needed & np.isnan(trajectories.probability)
     if missing.any():
         trajectory, stage = np.argwhere(missing)[0]
@@ -70,7 +71,7 @@ def logged_propensity(trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray
 def estimated_propensity(
     trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray, "n T"], blocks: Int[np.ndarray, " A"], is_pooled: bool
 ) -> Float[np.ndarray, "n T"]:
-    """Estimate b(A_t | S_t) from the actions of all stages that are known, by one model or one a stage."""
+    """Estimate b(A_t | S_t) from the actions of all known stages, by one model or one per stage."""
     known = trajectories.is_begun & trajectories.has_action
     likely = np.ones(known.shape)
     num_stages = known.shape[1]
@@ -89,31 +90,31 @@ class StageWeights:
     """Weights of the stages of a log."""
 
     weight: Float[np.ndarray, "n T"]
-    """Of each stage that counts, 0 elsewhere."""
+    """Of each weighted stage, 0 elsewhere."""
     standing: Float[np.ndarray, "n T"]
-    """The same, and of a trajectory that has ended, its last weight."""
+    """The same, with the last weight of each trajectory that has finished."""
 
     @property
     def normalised(self) -> Float[np.ndarray, "n T"]:
-        """Weights by their mean over trajectories; 0 in a stage that no trajectory stands for."""
+        """Weights divided by their mean over trajectories; 0 in a stage without weight."""
         mean = self.standing.mean(axis=0)
         return np.where(mean > 0, self.weight / np.where(mean > 0, mean, 1.0), 0.0)
 
     @property
     def effective_sample_size(self) -> float:
-        """Effective sample size, in the stage where it is least [Kish1965]_."""
+        """Effective sample size, in the stage with the smallest [Kish1965]_."""
         squares = (self.standing**2).sum(axis=0)
         each = np.where(squares > 0, self.standing.sum(axis=0) ** 2 / np.where(squares > 0, squares, 1.0), 0.0)
         return float(each.min())
 
     def take(self, rows: Bool[np.ndarray, " n"]) -> "StageWeights":
-        """Keep these trajectories."""
+        """Select trajectories."""
         return StageWeights(self.weight[rows], self.standing[rows])
 
     def influence(self, of_stage: Float[np.ndarray, "n T"]) -> Float[np.ndarray, " n"]:
-        """What each trajectory adds to the sum over stages of the weighted means of `of_stage`; its mean is that sum.
+        """Contribution of each trajectory to the sum of the stages' weighted means of `of_stage`; its mean is the sum.
 
-        The noise of the weights' means is part of it, so that its standard deviation over √n is the standard error.
+        It includes the noise of the weights' means, so its standard deviation over √n is the standard error.
         """
         mean = self.standing.mean(axis=0)
         scale = np.where(mean > 0, mean, 1.0)
@@ -123,16 +124,15 @@ class StageWeights:
 
 
 def likelihood_ratios(single: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays) -> Float[np.ndarray, "n T"]:
-    """ρ_t of each begun stage whose action is known, given the ratio of each stage; 0 elsewhere."""
+    """ρ_t of each stage that began and whose action is known, given the ratio of each stage; 0 elsewhere."""
     return np.where(trajectories.is_begun & trajectories.has_action, np.cumprod(single, axis=1), 0.0)
 
 
 def mean_squared_ratio(single: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays) -> float:
-    """E[ρ²], by what is logged of each stage: so many uncut trajectories that were logged are worth one of the policy.
+    """E[ρ²], from the ratios of single stages: the number of uncut logged trajectories worth one of the policy.
 
-    Of ρ² itself a log knows little where few trajectories do as the policy would to their end. So it is put together
-    from the stages, Π_t E[(π/b)²], as if they had nothing to do with one another, and averaged over the lengths of the
-    trajectories.
+    A log has little information on ρ² itself if few trajectories follow the policy to their end. So it is computed as
+    Π_t E[(π/b)²], as if stages were independent, and averaged over the lengths of the trajectories.
     """
     known, finished = trajectories.is_begun & trajectories.has_action, trajectories.clocks.is_finished
     mean = np.where(known, single**2, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
@@ -143,7 +143,7 @@ def mean_squared_ratio(single: Float[np.ndarray, "n T"], trajectories: Trajector
 def single_ratios(
     probabilities: Float[np.ndarray, "n T A"], propensity: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays
 ) -> Float[np.ndarray, "n T"]:
-    """π/b of each begun stage whose action is known; 1 elsewhere."""
+    """π/b of each stage that began and whose action is known; 1 elsewhere."""
     taken = np.take_along_axis(probabilities, trajectories.action[..., None], axis=2)[..., 0]
     return np.where(trajectories.is_begun & trajectories.has_action, taken / propensity, 1.0)
 
@@ -151,7 +151,7 @@ def single_ratios(
 def completed_weights(
     ratio: Float[np.ndarray, "n T"], uncut: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays
 ) -> StageWeights:
-    """ρ_t δ_t / Ĝ(U_t⁻), given the last factors in `uncut`."""
+    """ρ_t δ_t / Ĝ(U_t⁻), given the cumulative factors in `uncut`."""
     weight = np.where(trajectories.is_completed, ratio * uncut, 0.0)
     return StageWeights(weight, _stand_on(weight, trajectories))
 
@@ -159,7 +159,7 @@ def completed_weights(
 def begun_weights(
     ratio: Float[np.ndarray, "n T"], uncut: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays
 ) -> StageWeights:
-    """ρ_t / Ĝ(U_{t−1}⁻) of begun stages; once a trajectory has ended, ρ_L / Ĝ(U_L⁻) stands for it."""
+    """ρ_t / Ĝ(U_{t−1}⁻) of stages that began; after a trajectory finished, ρ_L / Ĝ(U_L⁻)."""
     weight = np.where(trajectories.is_begun, ratio * uncut_before(uncut), 0.0)
     ended = _stand_on(np.where(trajectories.is_completed, ratio * uncut, 0.0), trajectories)
     return StageWeights(weight, np.where(trajectories.is_begun, weight, ended))
@@ -177,7 +177,7 @@ def _stand_on(weight: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays) 
 
 
 class Nuisances(NamedTuple):
-    """What stands for cuts, fitted to some of the trajectories, for all of them."""
+    """Nuisance models of the cuts, fitted to some of the trajectories and evaluated for all of them."""
 
     uncut: Float[np.ndarray, "n T"]
     """δ_t / Ĝ(U_t⁻)."""
@@ -189,7 +189,7 @@ class Nuisances(NamedTuple):
 def nuisances_of(
     model: QModel, trajectories: TrajectoryArrays, is_fitted: Bool[np.ndarray, " n"] | None = None
 ) -> Nuisances:
-    """What a fitted model says stands for cuts; durations are fitted to some trajectories, or to all."""
+    """Evaluate a fitted model of the cuts; durations are fitted to some trajectories, or to all."""
     cuts = model.cut_model
     uncut = trajectories.is_completed.astype(float) if cuts is None else cuts.weights(trajectories.clocks)
     return Nuisances(uncut, *model.weights_and_imputation(trajectories, is_fitted))
@@ -198,10 +198,10 @@ def nuisances_of(
 def nuisances_by_folds(
     model: QModel, trajectories: TrajectoryArrays, whole: Nuisances, fold: Int[np.ndarray, " n"]
 ) -> Iterator[Nuisances]:
-    """Fit what stands for cuts without each fold in turn.
+    """Fit the nuisance models of the cuts without each fold in turn.
 
-    No weight is larger than the largest of the whole log: where a fold held the last that was watched, Ĝ of the others
-    may end before it. Where too little is left to fit anything, that of the whole log serves.
+    Weights are bounded by the largest of the whole log, because without a fold that holds the last trajectory at risk Ĝ
+    may end early. If the remaining trajectories are too few for a fit, that of the whole log is used.
     """
     targets, clocks = model.targets, trajectories.clocks
     if not isinstance(targets, CensoringSpec) or clocks.is_finished.all():
@@ -218,16 +218,16 @@ def nuisances_by_folds(
 
 
 def of_own_fold(judged: FittedValues, fold: Int[np.ndarray, " n"]) -> FittedValues:
-    """What each trajectory's stages are worth by the Q that never saw it."""
+    """Fitted values of each trajectory's stages by the Q that was fitted without it."""
     return FittedValues(*(leaf[fold, np.arange(len(fold))] for leaf in judged))
 
 
 def cross_fitted(
     judged: FittedValues, weights: Sequence[StageWeights], fold: Int[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " K"]]:
-    """φ of every trajectory by what never saw it; and the value without each of K folds, by the others alone.
+    """φ of every trajectory by models fitted without it; and the value without each of K folds, by the others alone.
 
-    At least K Qs judge, and as many weights hold, each fitted without one fold.
+    There are at least K Qs and as many weights, each fitted without one fold.
     """
 
     def added(judged: FittedValues, weights: StageWeights) -> Float[np.ndarray, " n"]:
@@ -246,7 +246,7 @@ def cross_fitted(
 def jackknifed(value: Float[np.ndarray, "B n"], fold: Int[np.ndarray, " n"]) -> tuple[float, float]:
     """Value of the policy by Q̂ alone, and its standard error.
 
-    V̂_1(S_1) of every trajectory is by the Qs that were fitted without each fold, and last by that of all trajectories.
+    V̂_1(S_1) of every trajectory is by the Qs fitted without each fold, and last by that of all trajectories.
     """
     without = np.array([each[fold != k].mean() for k, each in enumerate(value[:-1])])
     return float(value[-1].mean()), jackknife_error(without)
@@ -259,7 +259,7 @@ def judged_without(
     fold: Int[np.ndarray, " n"],
     numbered: tuple[int, Nuisances],
 ) -> FittedValues:
-    """Fit Q without a fold, and let it judge every trajectory."""
+    """Fit Q without a fold, and compute its fitted values for every trajectory."""
     k, given = numbered
     log = log._replace(weight=given.weight, imputation=given.imputation)
     regression = replace(model, pessimism=0.0).regression(*log.is_possible.shape[::2])

@@ -1,7 +1,7 @@
 """From weighted logs to predictions and policies.
 
-Two learners: `svm` (targets that may be cut, paper, eqs. 1 and 2) and, in this folder, censored Q-learning
-(policies, eq. 3). Neither knows of tables; `halfseen.tables` does.
+Two learners: `svm` predicts targets that may be censored (paper, eqs. 1 and 2), and censored Q-learning in this folder
+learns policies (eq. 3). Neither depends on tables; `halfseen.tables` builds on them.
 """
 
 from typing import TYPE_CHECKING

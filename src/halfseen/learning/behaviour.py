@@ -1,34 +1,33 @@
-"""What a log does of itself: the behaviour policy, a conditional logit [McFadden1974]_ of its actions.
+"""The behaviour policy of a log, fitted as a conditional logit of its actions [McFadden1974]_.
 
     b(a | S) ∝ exp(α_k + β_kᵀ φ(S, a)) over the actions that are possible in S,
 
-with k the block of the action: on named actions that is the multinomial logistic regression on the covariates, on a
-table one choice among all objects and verbs.
+with k the block of the action. For named actions this is multinomial logistic regression on the covariates; for a table
+it is one choice among all objects and verbs.
 
-Where Q is taken at a lower confidence bound, doing what the log does needs no proof: it makes nothing worse than it
-was. So the margin of an action is waived as far as the behaviour policy leans towards it (`excess_propensity`), and
-only what leaves the behaviour policy must be better beyond doubt, as in safe policy improvement
-[LarocheTrichelairTachet2019]_.
+Where Q is taken at a lower confidence bound, following the behaviour policy needs no evidence, because it makes nothing
+worse. So the margin of an action is reduced as far as the behaviour policy prefers it (`excess_propensity`). Only
+deviations from it must be clearly better, as in safe policy improvement [LarocheTrichelairTachet2019]_.
 
-It is fitted by Newton steps of bounded length (`minimise_each`), which serve several smooth functions of few numbers at
-once. Where one is not convex, the eigenvalues of its Hessian are taken by their size, so that each step leads downhill
-[NocedalWright2006]_. A step that did not lower its function is taken again, shorter.
+The logit is fitted by Newton steps of bounded length (`minimise_each`), for several smooth functions of few variables
+at once. Where a function is not convex, the absolute eigenvalues of its Hessian are used, so that each step is a
+descent direction [NocedalWright2006]_. A step that did not lower its function is retried with a shorter length.
 
-*Preference.* Where many actions share few stages, what the log does speaks where Q cannot (behaviour regularisation):
+*Preference.* If many actions share few stages, the behaviour policy decides where Q cannot (behaviour regularisation):
 
     argmax_a  Q̂(S, a) − margin + τ·log b(a | S)
 
-is the policy of a Q that is regularised by the Kullback–Leibler divergence from b [WuTuckerNachum2019]_, at its mode.
-Three things are not chosen but found:
+is the mode of the policy whose Q is regularised by the Kullback–Leibler divergence from b [WuTuckerNachum2019]_. Three
+quantities are estimated:
 
-- *b* is a multinomial logit, shrunk towards choosing evenly by as much as predicts held-out trajectories best. A log
-  that chose evenly prefers nothing.
-- *τ* = 2 σ √(p / n_a), two standard errors of Q: σ the noise of its targets, p the coefficients of an action, n_a its
-  mean number of completed stages; at most 2 σ. It vanishes as a log grows.
+- *b* is a multinomial logit, shrunk towards uniform choice by the penalty that predicts held-out trajectories best. A
+  log of uniform choices has no preference.
+- *τ* = 2 σ √(p / n_a), two standard errors of Q: σ is the noise of its targets, p the number of coefficients of an
+  action, n_a its mean number of completed stages; at most 2 σ. It vanishes as a log grows.
 - *Trust*: following b must not have hurt. The advantage A_t = R_t + V̂(S_{t+1}) − V̂(S_t) of the logged action, V̂ the
   value of b by least squares [BradtkeBarto1996]_, is correlated with how much b, fitted to other trajectories,
-  preferred that action. With z the sum of the products by its standard error over trajectories, τ counts in full
-  where z ≥ 0, and nothing where z ≤ −1.
+  preferred that action. Let z be the sum of the products divided by its standard error over trajectories: τ counts
+  fully where z ≥ 0, and not at all where z ≤ −1.
 """
 
 from collections.abc import Callable
@@ -42,18 +41,18 @@ from halfseen.shapes import Bool, Float, Int
 
 Thetas = Float[np.ndarray, "K p"]
 Derivatives = tuple[Float[np.ndarray, " K"], Thetas, Float[np.ndarray, "K p p"]]
-"""Of each function: its value, gradient and Hessian."""
+"""Value, gradient and Hessian of each function."""
 
 MAX_STEPS = 200
 ENOUGH = 1e-12
-"""A step that promises less than this share of the value, and 1, is the last."""
+"""Stop after a step whose predicted decrease is below this fraction of 1 + |value|."""
 LONGEST = 2.0
-"""A step changes no number by more than this at first, and by no more than it later."""
+"""Initial and largest bound on the change of each variable in a step."""
 _SHORTEST, _SHORTER, _LONGER = 1e-9, 0.25, 2.0
 
 
 def minimise_each(derivatives: Callable[[Thetas], Derivatives], start: Thetas) -> Thetas:
-    """Find a minimum of each of K functions from its own start, given the derivatives of all at K places."""
+    """Minimise each of K functions from its own start, given the derivatives of all at K points."""
     theta, reach = start.copy(), np.full(len(start), LONGEST)
     value, gradient, hessian = derivatives(theta)
     for _ in range(MAX_STEPS):
@@ -61,7 +60,7 @@ def minimise_each(derivatives: Callable[[Thetas], Derivatives], start: Thetas) -
         promise = -(gradient * step).sum(axis=1)
         is_open = (promise > ENOUGH * (1.0 + np.abs(value))) & (reach > _SHORTEST)
         if not is_open.any():
-            # What rounding hides in the values still shows in the gradients.
+            # Decreases that rounding hides in the values still show in the gradients.
             return theta + np.where((reach > _SHORTEST)[:, None], step, 0.0)
         length = np.abs(step).max(axis=1)
         step = np.where(is_open[:, None], step * np.minimum(1.0, reach / np.maximum(length, _SHORTEST))[:, None], 0.0)
@@ -83,26 +82,26 @@ def _downhill(gradient: Thetas, hessian: Float[np.ndarray, "K p p"]) -> Thetas:
 
 
 MOST_FOR_NEWTON = 1000
-"""Coefficients of a choice whose curvature is worth its time; more are found by L-BFGS."""
+"""Largest number of coefficients for Newton steps, which need the curvature; above it, L-BFGS is used."""
 
 RIDGE = 1.0
-"""Penalty ½·RIDGE·‖β‖² on features of unit variance, beside a log-likelihood that is summed over rows."""
+"""Penalty ½·RIDGE·‖β‖² on features of unit variance, added to a log-likelihood summed over rows."""
 
 _FLAT = 1e-10
-"""Share of the curvature that is added where the loss may be flat."""
+"""Fraction of the curvature added in case the loss is flat."""
 
 
 def log_chances(
     utility: Float[np.ndarray, "*S A"], is_possible: Bool[np.ndarray, "*#S A"]
 ) -> Float[np.ndarray, "*S A"]:
-    """Logarithm of how likely each action is [nat]; −inf where it is not possible."""
+    """Log probability of each action [nat]; −inf where it is not possible."""
     among = np.where(is_possible, utility, -np.inf)
     among = among - among.max(axis=-1, keepdims=True)
     return among - np.log(np.exp(among).sum(axis=-1, keepdims=True))
 
 
 def choice_probabilities(utility: Float[Any, "*S A"], is_possible: Bool[Any, "*#S A"]) -> Float[Any, "*S A"]:
-    """How likely each action is; 0 where it is not possible."""
+    """Probability of each action; 0 where it is not possible."""
     xp = library_of(utility)
     among = xp.where(is_possible, utility, -xp.inf)
     odds = xp.exp(among - among.max(axis=-1, keepdims=True))
@@ -110,9 +109,9 @@ def choice_probabilities(utility: Float[Any, "*S A"], is_possible: Bool[Any, "*#
 
 
 def excess_propensity(utility: Float[Any, "*S A"], is_possible: Bool[Any, "*#S A"]) -> Float[Any, "*S A"]:
-    """How far the choice is from chance towards each action: 0 at one time in k or less, 1 at always.
+    """Excess of each action's probability over chance: 0 at a probability of 1/k or less, 1 at certainty.
 
-    k counts the actions that there are to choose from.
+    k is the number of possible actions.
     """
     xp = library_of(utility)
     chance = 1.0 / xp.maximum(is_possible.sum(axis=-1, keepdims=True), 2)
@@ -120,7 +119,7 @@ def excess_propensity(utility: Float[Any, "*S A"], is_possible: Bool[Any, "*#S A
 
 
 def seen_among(allowed: Bool[Any, "*S A"], seen: Bool[Any, "*T A"]) -> Bool[Any, "*S A"]:
-    """Keep the actions that were seen; all that are allowed where none was."""
+    """Restrict allowed actions to those with support; keep all allowed ones if none has it."""
     both = allowed & seen
     return both | (allowed & ~both.any(axis=-1, keepdims=True))
 
@@ -132,20 +131,20 @@ def fit_choice(
     blocks: Int[np.ndarray, " A"],
     weight: Float[np.ndarray, " rows"] | None = None,
 ) -> Float[np.ndarray, "K F1"]:
-    """Fit the choice of an action: coefficients of each block, the offset first.
+    """Fit the choice of an action: coefficients of each block, the intercept first.
 
     Parameters
     ----------
     features
         φ(S, a).
     is_possible
-        What there was to choose from.
+        The possible actions.
     taken
-        What was chosen.
+        The chosen action.
     blocks
         Block of coefficients of each action.
     weight
-        Of each row; None for 1.
+        Weight of each row; None for 1.
     """
     mean, scale = _mean_and_scale(features[is_possible])
     design = np.ones((*taken.shape, len(blocks), 1 + features.shape[-1]))
@@ -162,7 +161,7 @@ def _mean_and_scale(features: Float[np.ndarray, "rows F"]) -> tuple[Float[np.nda
 def _unscaled(
     beta: Float[np.ndarray, "K F1"], mean: Float[np.ndarray, " F"], scale: Float[np.ndarray, " F"]
 ) -> Float[np.ndarray, "K F1"]:
-    """Coefficients of features as they were, the offset first."""
+    """Coefficients of the unscaled features, the intercept first."""
     slopes = beta[:, 1:] / scale
     return np.column_stack([beta[:, 0] - slopes @ mean, slopes])
 
@@ -174,7 +173,7 @@ def conditional_logit(
     blocks: Int[np.ndarray, " A"],
     weight: Float[np.ndarray, " rows"] | None = None,
 ) -> Float[np.ndarray, "rows A"]:
-    """Fit the choice of an action to the rows that weigh something, and return how likely each was in every row."""
+    """Fit the choice of an action to rows of positive weight; return the probability of each action in every row."""
     fitted = np.ones(len(taken), dtype=bool) if weight is None else weight > 0
     weight = None if weight is None else weight[fitted]
     coefficients = fit_choice(features[fitted], is_possible[fitted], taken[fitted], blocks, weight)
@@ -189,7 +188,7 @@ def _fitted_logit(
     blocks: Int[np.ndarray, " A"],
     weight: Float[np.ndarray, " rows"],
 ) -> Float[np.ndarray, "K F"]:
-    """Coefficients of each block, the offset first."""
+    """Coefficients of each block, the intercept first."""
     members = [np.flatnonzero(blocks == k) for k in range(int(blocks.max()) + 1)]
     parts = [np.ascontiguousarray(design[:, some]) for some in members]
     row, num_features = np.arange(len(taken)), design.shape[-1]
@@ -210,7 +209,7 @@ def _fitted_logit(
     def derivatives(at: Float[np.ndarray, "1 P"]) -> Derivatives:
         loss, slope, probability = loss_and_slope(at[0])
         curvature = _curvature([probability[:, some] for some in members], parts, weight) + np.diag(penalty)
-        # The loss may be flat along offsets: there the slope is 0, and so is the step.
+        # The loss may be flat along intercepts: the slope is 0 there, and so is the step.
         curvature += _FLAT * np.diag(np.maximum(np.diag(curvature), 1.0))
         return np.array([loss]), slope[None], curvature[None]
 
@@ -226,7 +225,7 @@ def _fitted_logit(
 def _curvature(
     probability: list[np.ndarray], parts: list[np.ndarray], weight: Float[np.ndarray, " rows"]
 ) -> Float[np.ndarray, "P P"]:
-    """Σ w (Σ_a p_a x_a x_aᵀ − x̄ x̄ᵀ), x of the block of each action and x̄ = Σ_a p_a x_a."""
+    """Σ w (Σ_a p_a x_a x_aᵀ − x̄ x̄ᵀ), with x in the block of each action and x̄ = Σ_a p_a x_a."""
     num_features = parts[0].shape[-1]
     means = [np.matmul(p[:, None, :], part)[:, 0] for p, part in zip(probability, parts, strict=True)]
     mean = np.concatenate(means, axis=1)
@@ -238,25 +237,25 @@ def _curvature(
 
 
 RIDGES = (256.0, 64.0, 16.0, 4.0, 1.0)
-"""Penalties ½·ridge·‖β‖² on standardised covariates and offsets, beside a summed log-likelihood."""
+"""Penalties ½·ridge·‖β‖² on standardised covariates and intercepts, added to a summed log-likelihood."""
 NUM_FOLDS = 5
 VALUE_RIDGE = 3.0
-"""Of V̂."""
+"""Ridge penalty of V̂."""
 STANDARD_ERRORS = 2.0
-"""Of Q, for which a nat counts."""
+"""τ in standard errors of Q."""
 
 
 class Preference(NamedTuple):
-    """What the log prefers, and how much that counts."""
+    """The behaviour policy and the weight of its preference."""
 
     behaviour: Float[np.ndarray, "A F1"]
-    """Coefficients of b on the covariates, the offset first."""
+    """Coefficients of b on the covariates, the intercept first."""
     behaviour_weight: float
-    """τ [reward a nat]; 0 where following b has hurt."""
+    """τ [reward per nat]; 0 if following b has hurt."""
 
 
 class _Choices(NamedTuple):
-    """Stages whose state and action are known."""
+    """Stages with known state and action."""
 
     covariates: Float[np.ndarray, "rows F"]
     """Standardised."""
@@ -270,7 +269,7 @@ class _Choices(NamedTuple):
         return log_chances(beta[:, 0] + self.covariates @ beta[:, 1:].T, self.is_possible)
 
     def fitted(self, ridge: float, start: Float[np.ndarray, "A F1"] | None = None) -> Float[np.ndarray, "A F1"]:
-        """A multinomial logit, shrunk towards choosing evenly."""
+        """Fit a multinomial logit, shrunk towards uniform choice."""
         import scipy.optimize
 
         rows, shape = np.arange(len(self.taken)), (self.is_possible.shape[1], self.covariates.shape[1] + 1)
@@ -288,14 +287,14 @@ class _Choices(NamedTuple):
         return scipy.optimize.minimize(loss_and_slope, first.ravel(), jac=True, method="L-BFGS-B").x.reshape(shape)
 
     def lead(self, log_chance: Float[np.ndarray, "rows A"]) -> Float[np.ndarray, " rows"]:
-        """How much likelier the action was than actions are on average, in nats."""
+        """Log probability of the action taken, less its mean under the policy [nat]."""
         finite = np.where(self.is_possible, log_chance, 0.0)
         expected = (np.where(self.is_possible, np.exp(log_chance), 0.0) * finite).sum(axis=1)
         return log_chance[np.arange(len(log_chance)), self.taken] - expected
 
 
 def preference_of(trajectories: TrajectoryArrays, num_completed: int) -> Preference:
-    """Find what a log of named actions prefers, by it or a sample of it; so many of its stages were completed."""
+    """Estimate the preference of a log of named actions from a sample; the log has `num_completed` completed stages."""
     known = trajectories.is_begun & trajectories.has_action
     covariates = trajectories.features[..., 0, :]
     mean, scale = _mean_and_scale(covariates[known])
@@ -315,9 +314,10 @@ def preference_of(trajectories: TrajectoryArrays, num_completed: int) -> Prefere
 
 
 def advantages(trajectories: TrajectoryArrays, covariates: Float[np.ndarray, "n T F"]) -> Float[np.ndarray, "n T"]:
-    """How much more than V̂ each completed stage brought; 0 for other stages.
+    """Return above V̂ of each completed stage; 0 for other stages.
 
-    V̂ is linear in the stage, the covariates, standardised and 0 where no stage began, and their squares.
+    V̂ is linear in the stage, in the covariates, which are standardised and 0 where no stage began, and in their
+    squares.
     """
     done, horizon = trajectories.is_completed, covariates.shape[1]
     stage = np.broadcast_to(np.arange(horizon)[:, None] / horizon, (*covariates.shape[:2], 1))
@@ -334,7 +334,7 @@ def advantages(trajectories: TrajectoryArrays, covariates: Float[np.ndarray, "n 
 
 
 def _held_out(choices: _Choices, fold: Int[np.ndarray, " rows"]) -> tuple[float, Float[np.ndarray, "rows A"]]:
-    """The ridge that predicts best what was held out, and what it predicts."""
+    """Return the ridge penalty that predicts held-out trajectories best, and those predictions."""
     each = np.zeros((len(RIDGES), *choices.is_possible.shape))
     for number in range(NUM_FOLDS):
         is_held_out, start = fold == number, None

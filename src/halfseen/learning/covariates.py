@@ -1,10 +1,10 @@
-"""Covariates of stages as numbers: what is a number stays, and text becomes an indicator of each category but one.
+"""Covariates of stages as numbers: numbers stay, and text becomes an indicator of each category but one.
 
-The first category of a column, in sorted order, has no indicator: it is what the offset of Q stands for. So the
-indicators are never collinear with the offset, and eq. 3 without λ, or a proportional-hazards model of the cuts, can be
-fitted to them; every function class and every model looks at the same columns. True and false are the numbers 1 and 0.
+The first category of a column, in sorted order, is the reference category without an indicator. So the indicators are
+never collinear with the intercept, and eq. 3 without λ, or a proportional-hazards model of the cuts, can be fitted to
+them. Every function class and every model uses the same columns. True and false become 1 and 0.
 
-What can be looked at is numbers, and text of few categories that several trajectories share.
+Usable columns are numbers, and text of few categories that occur in several trajectories.
 """
 
 import sys
@@ -25,22 +25,22 @@ if TYPE_CHECKING:
     from halfseen.logs import Logs
 
 Categories = Mapping[str, tuple[str, ...]]
-"""Of each column of text, its categories in sorted order."""
+"""Categories of each text column, in sorted order."""
 
 MOST_CATEGORIES = 20
-"""A column with more tells one stage from another rather than what they have in common; so many still fit a smooth Q,
-which looks at the product of each two indicators."""
+"""A column with more identifies single stages rather than what they share. This many still fit a smooth Q, which uses
+the product of each two indicators."""
 
 _MOST_NAMED = 12
 _TEXT = ("string", "categorical", "boolean", "empty")
 
 _Seen = Counter[str] | str
-"""In how many trajectories each category occurs, or why a column has none."""
+"""Number of trajectories in which each category occurs, or why a column has none."""
 
 
 @dataclass(frozen=True)
 class Covariates:
-    """Columns of the stages, and how they become numbers.
+    """Columns of the stages, and their encoding as numbers.
 
     Examples
     --------
@@ -56,11 +56,11 @@ class Covariates:
     columns: tuple[str, ...]
     """Their names."""
     categories: Categories = field(default_factory=dict)
-    """Of those that hold text."""
+    """Of the text columns."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of each feature: that of a column of numbers, or ``column=category``."""
+        """Name of each feature: that of a numeric column, or ``column=category``."""
         each = zip(self.columns, self._indicated, strict=True)
         return tuple(name if one is None else f"{name}={one}" for name, some in each for one in some)
 
@@ -75,7 +75,7 @@ class Covariates:
         return len(self.sources)
 
     def encode(self, frame: Frame) -> Float[np.ndarray, "m F"]:
-        """Turn each row into numbers."""
+        """Encode each row as numbers."""
         missing = [name for name in self.columns if name not in frame.columns]
         if missing:
             there = ", ".join(map(str, frame.columns)) + did_you_mean(missing[0], frame.columns)
@@ -108,7 +108,7 @@ class Covariates:
         return is_known
 
     def encode_known(self, rows: Sequence[Mapping[str, Any]]) -> Float[np.ndarray, "m F"]:
-        """Turn values into numbers as `encode` does, without looking for faults: each is a number, or a known category.
+        """Encode values as `encode` does, without checks: each must be a number or a known category.
 
         Examples
         --------
@@ -122,18 +122,18 @@ class Covariates:
         return np.array(numbers, dtype=np.float64).reshape(len(rows), -1)
 
     def is_known(self, name: str, value: Any) -> bool:
-        """Whether a value of a column is a finite number of Python's own, or text of a known category."""
+        """Whether a value of a column is a finite Python number, or text of a known category."""
         if name in self.categories:
             return type(value) is str and value in self.categories[name]
         return type(value) in (bool, int, float) and abs(value) <= sys.float_info.max
 
     @property
     def _indicated(self) -> list[tuple[str | None, ...]]:
-        """For each column the categories that have an indicator; None for a column of numbers."""
+        """For each column, the categories that have an indicator; None for a numeric column."""
         return [self.categories[name][1:] if name in self.categories else (None,) for name in self.columns]
 
     def codes(self, frame: Frame, column: str) -> np.ndarray:
-        """Number the category of each row, from 0."""
+        """Code of the category of each row, from 0."""
         import pandas as pd
 
         from halfseen.logs.columns import value_at
@@ -183,7 +183,7 @@ def is_numeric(frame: Frame, column: str) -> bool:
 
 
 def kind_of(frame: Frame, column: str) -> str | None:
-    """What a column holds in place of numbers or text; None where it holds these."""
+    """Type of a column of neither numbers nor text; None for these two."""
     from pandas.api.types import infer_dtype
 
     kind = None if is_numeric(frame, column) else infer_dtype(frame[column], skipna=True)
@@ -191,7 +191,7 @@ def kind_of(frame: Frame, column: str) -> str | None:
 
 
 def _place(frame: Frame, row: int) -> str:
-    """Trajectory and stage of a row, where the frame has them."""
+    """Trajectory and stage of a row, if the frame has them."""
     from halfseen.logs.columns import place
 
     named = tuple(name for name in ("trajectory", "stage") if name in frame.columns)
@@ -204,16 +204,16 @@ def _listed(known: Sequence[str]) -> str:
 
 
 def learned_categories(parts: "Iterable[Logs]", wanted: Sequence[str], known: Categories) -> dict[str, tuple[str, ...]]:
-    """Find the categories of all columns of text that can be looked at.
+    """Find the categories of all usable text columns.
 
     Parameters
     ----------
     parts
         A log, in parts of whole trajectories.
     wanted
-        Columns that must be among them, if they hold text.
+        Columns that must be usable if they hold text.
     known
-        Categories that are given; they stay as they are.
+        Given categories; they are kept.
     """
     found = _surveyed(parts, known)
     for name in wanted:
@@ -227,24 +227,24 @@ def learned_categories(parts: "Iterable[Logs]", wanted: Sequence[str], known: Ca
 
 
 def unfit_covariates(parts: "Iterable[Logs]") -> dict[str, str]:
-    """Tell which covariates of the stages of a log, whole or in parts, cannot be looked at, and why."""
+    """Return the unusable covariates of the stages of a log, whole or in parts, each with the reason."""
     troubles = {name: _trouble(seen) for name, seen in _surveyed(parts, {}).items()}
     return {name: trouble for name, trouble in troubles.items() if trouble is not None}
 
 
 def fit_covariates(logs: "Logs") -> list[str]:
-    """Name the covariates of the stages that can be looked at: numbers, and text of few categories."""
+    """Names of the usable covariates of the stages: numbers, and text of few categories."""
     unfit = unfit_covariates([logs])
     return [name for name in logs.stage_covariates if name not in unfit]
 
 
 def _surveyed(parts: "Iterable[Logs]", known: Categories) -> dict[str, _Seen]:
-    """Look at all columns that hold no numbers."""
+    """Survey all columns that are not numeric."""
     found: dict[str, _Seen] = {}
     for part in parts:
         texts = [name for name in part.stage_covariates if name not in known and not is_numeric(part.stages, name)]
         if not texts:
-            # What one part holds as numbers, all do.
+            # A column that is numeric in one part is numeric in all.
             break
         for name in texts:
             before, now = found.get(name, Counter()), _look(part, name)
@@ -271,7 +271,7 @@ def _look(logs: "Logs", column: str) -> _Seen:
 
 
 def _trouble(seen: _Seen) -> str | None:
-    """Why a column cannot be looked at."""
+    """Why a column is unusable."""
     if isinstance(seen, str):
         return seen
     if len(seen) == 1:

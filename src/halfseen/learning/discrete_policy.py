@@ -1,10 +1,8 @@
-"""A learned Q of named actions as a policy: numbers, and nothing of the learner.
+"""A learned Q of named actions as a policy, independent of the learner; and how cautious the policy is.
 
-The way from what a log does to what looks best in it: how many times its margin a policy lowers Q by.
-
-With pessimism a policy goes by Q̂ − (1 − ℓ)·M, ℓ how much the log leans to an action and M the margin of its Q̂. The
-more M is multiplied by, the surer a deviation from the log has to be; those that are left are where the lower bound of
-their advantage is largest, as in safe policy improvement [LarocheTrichelairTachet2019]_.
+With pessimism, a policy maximises Q̂ − (1 − ℓ)·M, where ℓ is the excess propensity of the action in the log and M the
+margin of its Q̂. A multiple of M demands stronger evidence for each deviation from the log; the deviations that remain
+are those whose advantage has the largest lower bound, as in safe policy improvement [LarocheTrichelairTachet2019]_.
 """
 
 import copy
@@ -28,7 +26,7 @@ Fitted = TypeVar("Fitted")
 
 @runtime_checkable
 class NamedActionPolicy(Protocol):
-    """Tells the probability of each named action from plain covariates; `DiscretePolicy` is one."""
+    """A policy that gives the probability of each named action from plain covariates, such as `DiscretePolicy`."""
 
     actions: tuple[Hashable, ...]
 
@@ -43,14 +41,14 @@ class NamedActionPolicy(Protocol):
 
 
 class Valued(NamedTuple):
-    """What a policy knows of each action, for each row of covariates."""
+    """What a policy computes for each action, for each row of covariates."""
 
     q: Float[np.ndarray, "m A"]
-    """Q̂; of impossible actions, too."""
+    """Q̂, also of impossible actions."""
     margins: Float[np.ndarray, "m A"]
     """‖Mᵀ (1, features)‖; 0 without pessimism."""
     scores: Float[np.ndarray, "m A"]
-    """What it goes by."""
+    """The quantity that the policy maximises."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,23 +60,23 @@ class DiscretePolicy:
     actions
         Names, in the order of the columns of Q.
     covariates
-        Columns that Q looks at.
+        Columns that Q uses.
     is_possible
-        Which actions each stage allows.
+        The possible actions of each stage.
     coefficients
-        Of Q_1 … Q_T by stage, action and feature, the offset first (with axes in front for a batch of policies).
+        Of Q_1 … Q_T by stage, action and feature, the intercept first (with leading axes for a batch of policies).
     kernel_map
-        Features of the RKHS; None where Q is linear in the covariates.
+        Features of the RKHS; None if Q is linear in the covariates.
     margin
         M of each stage and action: the lower confidence bound is Q̂ − ‖Mᵀ (1, features)‖; None without pessimism.
     behaviour
-        Coefficients of the behaviour policy on the covariates, the offset first (`behaviour`); None if not known.
+        Coefficients of the behaviour policy on the covariates, the intercept first (`behaviour`); None if not known.
     behaviour_weight
-        τ: what a nat of log b counts for beside Q (`behaviour`) [reward].
+        τ: weight of a nat of log b relative to Q (`behaviour`) [reward].
     categories
-        Of the covariates that hold text, those that the log showed.
+        Categories of the text covariates, as seen in the log.
     filling
-        What stands for covariates that are missing; None where null is refused.
+        Values that replace missing covariates; None if null is refused.
     """
 
     actions: tuple[Hashable, ...]
@@ -94,7 +92,7 @@ class DiscretePolicy:
 
     @property
     def looks_at(self) -> Covariates:
-        """How the covariates become numbers."""
+        """The encoding of the covariates as numbers."""
         return Covariates(self.covariates, self.categories)
 
     @property
@@ -104,19 +102,19 @@ class DiscretePolicy:
 
     @property
     def actions_by_stage(self) -> dict[int, list[Hashable]]:
-        """Names of the actions that each stage allows, from 1."""
+        """Names of the actions possible in each stage, from 1."""
         rows = enumerate(self.is_possible, start=1)
         return {stage: [name for name, is_it in zip(self.actions, row, strict=True) if is_it] for stage, row in rows}
 
     def q_values(self, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
-        """Q̂ of every action in a stage (from 1), for each row of covariates; of impossible ones, too.
+        """Q̂ of every action in a stage (from 1), for each row of covariates; also of impossible ones.
 
         Raises
         ------
         ArgumentError
-            There is no such stage.
+            The stage does not exist.
         LogError
-            A covariate is missing, no finite number, null or of a category that the log never showed.
+            A covariate is missing, null, not a finite number, or of a category that the log does not contain.
         """
         return self._valued(frame, stage).q
 
@@ -126,19 +124,19 @@ class DiscretePolicy:
         return valued.q - valued.margins
 
     def scores(self, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
-        """What the policy goes by: Q̂ less its margin, which counts less, the more the log takes the action anyway.
+        """Q̂ less its margin, which the policy maximises; the margin is smaller for actions that the log takes often.
 
-        With many actions τ·log b is added.
+        With many actions, τ·log b is added.
         """
         return self._valued(frame, stage).scores
 
     def valued(self, encoded: Float[np.ndarray, "m G"], stage: int) -> Valued:
-        """All that is known of the actions in a stage (from 1), for each row of covariates as `looks_at` encodes them.
+        """All values of the actions in a stage (from 1), for each row of covariates as encoded by `looks_at`.
 
         Raises
         ------
         ArgumentError
-            There is no such stage.
+            The stage does not exist.
         """
         self._check_stage(stage)
         features = encoded if self.kernel_map is None else np.asarray(self.kernel_map(encoded))
@@ -155,13 +153,13 @@ class DiscretePolicy:
         return Valued(q, margins, scores)
 
     def decide(self, frame: Frame, stage: int) -> np.ndarray:
-        """Name the possible action with the largest score, for each row of covariates; shape (m,)."""
+        """The possible action with the largest score, for each row of covariates; shape (m,)."""
         names = np.empty(len(self.actions), dtype=object)
         names[:] = self.actions
         return names[self._best(frame, stage)]
 
     def probabilities(self, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
-        """π(a | S): 1 for the action that it takes."""
+        """π(a | S): 1 for the action that the policy takes."""
         best = self._best(frame, stage)
         return (best[:, None] == np.arange(len(self.actions))).astype(np.float64)
 
@@ -186,12 +184,12 @@ class DiscretePolicy:
 
 
 def has_margin(policy: Any) -> bool:
-    """Whether a policy can be more cautious than it is."""
+    """Whether a policy has a margin that can be increased."""
     return getattr(policy, "margin", None) is not None
 
 
 def more_cautious(policy: Any, times: float) -> Any:
-    """The same policy with so many times its margin; as it is where it has none."""
+    """The same policy with its margin multiplied; unchanged if it has none."""
     if not has_margin(policy) or times == 1.0:
         return policy
     changed = {"margin": times * policy.margin}
@@ -201,7 +199,7 @@ def more_cautious(policy: Any, times: float) -> Any:
 
 
 def more_cautious_learner(learner: Fitted, times: float) -> Fitted:
-    """A learner whose policy is more cautious; the one given stays as it is."""
+    """A copy of a learner with a more cautious policy; the original is unchanged."""
     cautious: Any = copy.copy(learner)
     cautious.policy_ = more_cautious(cautious.policy_, times)
     cautious.model_ = replace(cautious.model_, pessimism=times * cautious.model_.pessimism)

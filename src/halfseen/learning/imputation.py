@@ -1,26 +1,26 @@
 """Pseudo-outcomes for right-censored stages: doubly robust, or by Buckley and James.
 
 Write X = R_t + V̂(S_{t+1}) for the target of eq. 3, D for the duration of the stage, and m(u) = E[X | S_t, A_t, D ≥ u]
-for the expected target of a stage that is still going at age u. Both ways replace X by a pseudo-outcome Y that every
-begun stage has.
+for the expected target of a stage still in progress at age u. Both methods replace X by a pseudo-outcome Y, defined for
+every stage that began.
 
-*Doubly robust* (AIPCW) [Robins1992]_: with K̂ the probability that the stage is not cut before an age, given that it
-began,
+*Doubly robust* (AIPCW) [Robins1992]_: with K̂ the probability that the stage, given that it began, is not cut before an
+age,
 
     Y = δ X / K̂(D⁻) + (1 − δ) m(c) / K̂(c) − ∫_0^{min(D, c)} m(u) d(1/K̂(u)),
 
 for a cut at age c. The last two terms have mean 0 if K̂ is right, whatever m is; and E[Y | S_t, A_t] = E[X | S_t, A_t]
-if m is right, whatever K̂ is. m is a step function of the age, so the integral is a sum without error.
+if m is right, whatever K̂ is. m is a step function of the age, so the integral is an exact sum.
 
-*Buckley–James* [BuckleyJames1979]_: Y = X where it was observed, m(c) where the stage was cut at c. No K̂ is needed; m
+*Buckley–James* [BuckleyJames1979]_: Y = X if it was observed, and m(c) if the stage was cut at c. No K̂ is needed; m
 must be right.
 
-m comes from two regressions, on the completed stages: of X on φ(S_t, A_t) and terms g(D) of the duration, a spline of
-few bends, by block and again at each step of eq. 3 (`recursion`); and of D on φ and t, by proportional hazards with a
-baseline for each block, which says what g(D) is to be expected. A stage that is completed is not a fair draw of all,
-but given its duration it is, if cuts depend on (S_t, A_t) alone; so a regression that is right needs no weights. One
-that is a little wrong had better be wrong where stages are short: for doubly robust targets each stage weighs
-δ/K̂(D⁻), truncated.
+m comes from two regressions on the completed stages. The first is of X on φ(S_t, A_t) and terms g(D) of the duration, a
+spline with few knots, by block and again at each step of eq. 3 (`recursion`). The second is of D on φ and t, by
+proportional hazards with a baseline for each block; it gives the expected g(D). Completed stages are not a random
+sample of all stages, but given their durations they are, if cuts depend on (S_t, A_t) alone. So a correct regression
+needs no weights. A slightly misspecified one should err where stages are short: for doubly robust targets each stage
+has the truncated weight δ/K̂(D⁻).
 """
 
 from dataclasses import dataclass
@@ -34,16 +34,16 @@ from halfseen.learning.rows import Imputation, TrajectoryArrays
 from halfseen.shapes import Bool, Float, Int
 
 NUM_AGES = 24
-"""Steps of m: between quantiles of the ages at which stages ended."""
+"""Steps of m, between quantiles of the ages at which stages ended."""
 
 NUM_DURATIONS = 96
-"""Durations that the distribution of D is put on, at most."""
+"""Largest number of durations in the support of D."""
 
 KNOTS = (0.1, 0.25, 0.5, 0.75, 0.9, 0.97, 1.0)
-"""Quantiles of D at which its effect on X may bend; beyond the longest it stays what it was."""
+"""Quantiles of D at which the slope of its effect on X may change; beyond the last one the effect is constant."""
 
 DURATION_RIDGE = 1.0
-"""Penalty of the proportional hazards of D: a prior of one event, so that separation has an end."""
+"""Penalty of the proportional hazards of D: a prior of one event, so that separation does not diverge."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +51,13 @@ class Durations:
     """The distribution of D given (S_t, A_t), on few durations."""
 
     model: Cox | None
-    """Proportional hazards; None where no covariate tells stages apart."""
+    """Proportional hazards; None if no covariate varies."""
     columns: np.ndarray
     """Columns of the features that it uses."""
     at_s: Float[np.ndarray, " J"]
     """Durations that carry mass, increasing [s]."""
     hazard: Float[np.ndarray, " J"]
-    """Cumulative hazard just after each of them, at the mean features."""
+    """Cumulative hazard just after each duration, at the mean features."""
 
     def expected(
         self, features: Float[np.ndarray, "k P"], age_s: Float[np.ndarray, "k L"], terms: Float[np.ndarray, "J G"]
@@ -67,7 +67,7 @@ class Durations:
         if self.model is not None:
             score = (features[:, self.columns] - self.model.means_) @ self.model.coefficients_
             ratio = np.exp(np.clip(score, -50.0, 50.0))
-        # What outlives the last duration ends there: the mass adds up to 1.
+        # Everything that survives the last duration ends there, so the mass sums to 1.
         survival = np.exp(-ratio[:, None] * np.concatenate([[0.0], self.hazard[:-1], [np.inf]]))
         mass = -np.diff(survival, axis=1)
         later = np.cumsum(mass[:, ::-1], axis=1)[:, ::-1]
@@ -84,8 +84,8 @@ class Durations:
 def fit_durations(
     watched_s: Float[np.ndarray, " k"], is_completed: Bool[np.ndarray, " k"], features: Float[np.ndarray, "k P"]
 ) -> Durations:
-    """Fit D to begun stages, each watched until it was completed or cut [s], by features that D may depend on."""
-    # Here completion is the event, and at equal times it comes before the cut. Only the order counts.
+    """Fit D to stages, each observed until it was completed or cut [s], by features that D may depend on."""
+    # Here completion is the event, and it precedes a cut at the same time. Only the order matters.
     distinct, rank = np.unique(watched_s, return_inverse=True)
     ends = rank + np.where(is_completed, 1.0, 1.5)
     columns = np.flatnonzero(np.ptp(features, axis=0) > 0)
@@ -107,11 +107,11 @@ class DurationModel:
     """D of every block."""
 
     knots: Float[np.ndarray, " G"]
-    """Where g(D) bends [s]; those of tied durations tie, so every log has as many."""
+    """Knots of g(D) [s]; tied durations give equal knots, so their number is the same for every log."""
     ages_s: Float[np.ndarray, " L"]
     """Quantiles of the ages at which stages ended, increasing [s]."""
     by_block: tuple[Durations, ...]
-    """Of each block; of all together for a block that was never seen to end. Empty where nothing was."""
+    """Of each block, or of all together for a block without a completed stage. Empty if no stage was completed."""
 
 
 def fit_duration_model(
@@ -131,7 +131,7 @@ def fit_duration_model(
     block_of_action
         Block of each action.
     is_fitted
-        Trajectories that D is fitted to, which bends and steps do not depend on; None for all.
+        Trajectories that D is fitted to; knots and steps use all. None for all.
     """
     watched_s, is_completed = trajectories.clocks.watched_s, trajectories.is_completed
     knots = np.quantile(watched_s[is_completed], KNOTS)
@@ -152,26 +152,26 @@ def fit_duration_model(
 
 
 def duration_terms(duration_s: Float[np.ndarray, "*S"], knots: Float[np.ndarray, " k"]) -> Float[np.ndarray, "*S k"]:
-    """g(D): the duration up to the last knot, and how far it is beyond each other one, by the way to the next knot.
+    """g(D): the duration up to the last knot, and the excess over each other knot, divided by the distance to the next.
 
-    So a coefficient is what X gains by a bend before the next one comes, and is weighed against a prior (`with_prior`)
-    of about the noise of one stage. Without it, an action whose stages all end just beyond a knot has a slope that two
-    of them decide, and that those which were cut late would be valued along.
+    So a coefficient is the gain in X between two knots, and its prior (`with_prior`) is worth about the noise of one
+    stage. Without the prior, an action whose stages all end just beyond a knot has a slope determined by two of them,
+    along which stages that were cut late would be extrapolated.
     """
     begin, length = np.concatenate([[0.0], knots[:-1]]), np.diff(knots, prepend=0.0)
     beyond = np.maximum(np.minimum(duration_s, knots[-1])[..., None] - begin, 0.0)
-    # Knots of tied durations are one and the same: no way from one to the next, and no bend.
+    # Tied durations give equal knots: no distance to the next one, and no change of slope.
     return beyond / np.where(length > 0, length, np.inf)
 
 
 def duration_features(trajectories: TrajectoryArrays, is_used: Float[np.ndarray, " F"]) -> Float[np.ndarray, "n T P"]:
-    """Features of the action that was taken, and the stage."""
+    """Features of the action taken, and the stage."""
     stage = np.broadcast_to(np.arange(trajectories.action.shape[1], dtype=np.float64), trajectories.action.shape)
     return np.concatenate([trajectories.encoded.taken * is_used, stage[..., None]], axis=-1)
 
 
 LARGEST_OUTCOME_WEIGHT = 3.0
-"""Of a completed stage in the regression of X: it weighs δ/K̂, up to this."""
+"""Upper bound of the weight δ/K̂ of a completed stage in the regression of X."""
 
 SMALLEST_PROBABILITY = 1e-12
 
@@ -183,18 +183,18 @@ def imputation(
     block_of_action: Int[np.ndarray, " A"],
     durations: DurationModel,
 ) -> Imputation:
-    """Work out what `recursion` needs to make Y of X.
+    """Compute what `recursion` needs to replace X by Y.
 
     Parameters
     ----------
     trajectories
         The log, or a part of it.
     cut_model
-        Ĝ, for doubly robust targets; None for those of Buckley and James.
+        Ĝ, for doubly robust targets; None for Buckley–James.
     is_used
-        1 for each feature of the taken action that m may look at, 0 for the others.
+        1 for each feature of the taken action that m may use, 0 for the others.
     block_of_action
-        Which block of coefficients each action uses.
+        Block of coefficients of each action.
     durations
         D of every block.
     """
@@ -206,7 +206,7 @@ def imputation(
     )
     watched_s, is_completed = trajectories.clocks.watched_s, trajectories.is_completed
     expected, share = np.zeros((*trajectories.action.shape, len(knots))), is_completed.astype(np.float64)
-    # Where a stage was cut m counts in full; without K̂ nowhere else.
+    # m has full weight where a stage was cut and, without K̂, weight 0 elsewhere.
     rows, steps, ages = trajectories.is_begun & ~is_completed, np.ones((*share.shape, 1)), watched_s[..., None]
     if cut_model is not None:
         rows, (share, steps, ages) = trajectories.is_begun, _augmentation(trajectories, cut_model, durations.ages_s)
@@ -228,20 +228,20 @@ def imputation(
 def _augmentation(
     trajectories: TrajectoryArrays, cut_model: CutModel, ages: Float[np.ndarray, " L"]
 ) -> tuple[Float[np.ndarray, "n T"], Float[np.ndarray, "n T L"], Float[np.ndarray, " L"]]:
-    """What depends on K̂ alone: the share δ/K̂(D⁻) of X, and what m is multiplied by amid each step of the age."""
+    """The terms that depend on K̂ alone: the share δ/K̂(D⁻) of X, and the factor of m amid each age step."""
     clocks, rows = trajectories.clocks, trajectories.is_begun
     ended_s, is_completed = clocks.watched_s, trajectories.is_completed
     ages = np.concatenate([[0.0], ages[:-1], [np.inf]])
     middle = np.append((ages[:-2] + ages[1:-1]) / 2.0, ages[-2])
-    # A stage that was cut at c was at risk until just after c. Where K̂ falls to 0 with the last cut itself, the
-    # nearest that can be divided by is just before; ages are rounded.
+    # A stage cut at c was at risk until just after c. If K̂ falls to 0 at the last cut itself, divide by its value just
+    # before; ages are rounded.
     at_risk_s = np.where(is_completed, ended_s, ended_s + 2.0 * SMALLEST_AGE_S)
     before_cut_s = np.maximum(ended_s - SMALLEST_AGE_S, 0.0)
     asked_s = np.concatenate([np.minimum(ages, at_risk_s[..., None]), before_cut_s[..., None]], axis=-1)
     weights, within = cut_model.weights(clocks), cut_model.survival(clocks, asked_s, rows)
     begun = np.concatenate([np.ones((len(weights), 1)), weights[:, :-1]], axis=1)
     if cut_model.truncate_at is not None:
-        # Ĝ is nowhere below the bound that weights are truncated at.
+        # Ĝ is never below the bound at which weights are truncated.
         within = np.maximum(within, np.maximum(begun, 1.0)[..., None] / cut_model.truncate_at)
     share = np.where(is_completed, weights / np.where(rows, begun, 1.0), 0.0)
     most = np.where(is_completed, share, 1.0 / np.maximum(within[..., -1], SMALLEST_PROBABILITY))

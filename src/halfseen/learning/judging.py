@@ -1,15 +1,15 @@
-"""What fitted Qs say of every stage of a log, and by that whether stages are pooled, and which half-life is taken.
+"""Fitted values of every stage of a log, and the choices made by them: pooled or separate stages, and the half-life.
 
-*Stages.* One Q for all stages is fitted to more rows, and is wrong where what an action brings depends on the stage.
-Both ways are asked to predict the same targets of held-out trajectories: those of pooled stages, fitted without the
-trajectory's own fold. Stages are separated only where this predicts better beyond noise, for a mistake costs more one
-way than the other: where rows are few, separate stages lose more by noise than pooled ones by bias.
+*Stages.* A pooled Q is fitted to more rows, but is biased if the effect of an action depends on the stage. Both modes
+predict the same targets of held-out trajectories: those of pooled stages, fitted without the trajectory's own fold.
+Separate stages are chosen only if they predict better beyond noise, because the errors are asymmetric: with few rows,
+separate stages lose more by variance than pooled ones by bias.
 
-*Half-life* of weights by recency. The latest fifth is predicted block by block, each by what came before it, in the
-class of Q and with the weights that eq. 3 has. Predicted are the targets of completed stages, R_t + V̂(S_{t+1}), with
-one V̂ for all, learned before the fifth from all alike: so that it matters, too, what an action leads to. Where a
-half-life predicts better than none, the longest is taken that does not predict clearly worse than the best one, for it
-leaves most to learn from.
+*Half-life* of recency weights. The latest fifth of the log is predicted block by block, each block from the
+trajectories before it, in the function class and with the weights of eq. 3. The targets are those of completed stages,
+R_t + V̂(S_{t+1}), with one V̂ for all half-lives, learned with equal weights from the trajectories before the fifth; so
+the future effects of an action count, too. If some half-life predicts better than none, the longest that does not
+predict clearly worse than the best is chosen, because it leaves the most data.
 """
 
 from dataclasses import replace
@@ -29,23 +29,23 @@ from halfseen.workers.threads import one_thread
 
 NUM_FOLDS = 2
 FEWEST_HELD_OUT = 20
-"""Trajectories below which stages stay as they are."""
+"""Fewest trajectories for a choice between stage modes."""
 CLEARLY_SEPARATE, CLEARLY_WORSE = 2.0, 1.0
-"""Standard errors by which separate stages must predict better; and a half-life worse than the best one, to be left."""
+"""Standard errors by which separate stages must predict better to be chosen, and a half-life worse to be rejected."""
 SHARES = (1 / 2, 1 / 4, 1 / 8, 1 / 16)
-"""Of the log: half-lives that are tried."""
+"""Half-lives to try, as fractions of the log."""
 LATEST, NUM_BLOCKS = 1 / 5, 4
 
 
 class FittedValues(NamedTuple):
-    """What a Q says of every stage of a log, for one weighting or for each of B."""
+    """Fitted values of a Q for every stage of a log, for one weighting or for each of B."""
 
     value: Float[np.ndarray, "*B n T"]
     """V̂_t(S_t)."""
     taken: Float[np.ndarray, "*B n T"]
     """Q̂_t(S_t, A_t)."""
     target: Float[np.ndarray, "*B n T"]
-    """X_t = R_t + V̂_{t+1}(S_{t+1}), or Y_t where targets are imputed; 0 where there is none."""
+    """X_t = R_t + V̂_{t+1}(S_{t+1}), or Y_t if targets are imputed; 0 if there is none."""
 
 
 def judged(
@@ -55,7 +55,7 @@ def judged(
     stages: StageMode,
     reward: Float[np.ndarray, "n T"],
 ) -> FittedValues:
-    """Let each stage's own Q judge it, with rewards as logged: those of `log` may have had noise taken out of them."""
+    """Evaluate each stage by its own Q, with rewards as logged; those of `log` may be variance-reduced."""
     in_order = slice(None, None, -1 if stages == "pooled" else 1)
     each = zip(fits.coefficients[in_order], np.moveaxis(log.features, 1, 0), strict=True)
     q = np.stack([q_values(of_stage, features, block_of_action) for of_stage, features in each], axis=1)
@@ -68,14 +68,14 @@ def judged(
 
 
 def _values(q: Float[np.ndarray, "n T A"], log: Transitions) -> Float[np.ndarray, "n T"]:
-    """V̂ of every state: max_a Q over the possible actions, or Σ_a π(a) Q of the policy that is given."""
+    """V̂ of every state: max_a Q over the possible actions, or Σ_a π(a) Q of the given policy."""
     if log.policy is not None:
         return np.sum(np.where(log.policy > 0, log.policy * q, 0.0), axis=-1)
     return or_nothing(np.max(np.where(log.is_possible, q, -np.inf), axis=-1))
 
 
 def targets(log: Transitions, value: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
-    """Give X_t = R_t + V̂(S_{t+1}); after a trajectory's own end, and after the last stage, V̂ is 0."""
+    """Return X_t = R_t + V̂(S_{t+1}); V̂ is 0 after a trajectory finished and after the last stage."""
     successor = np.pad(value[:, 1:], ((0, 0), (0, 1)))
     return log.reward + np.where(log.is_last, 0.0, successor)
 
@@ -86,7 +86,7 @@ def _imputed(
     target: Float[np.ndarray, "n T"],
     block_of_action: Int[np.ndarray, " A"],
 ) -> Float[np.ndarray, "n T"]:
-    """Y_t of every begun stage (see `Imputation`): X is `target`, and `outcome` its regression in each stage."""
+    """Y_t of every stage that began (see `Imputation`); X is `target`, and `outcome` its regression in each stage."""
     given = log.imputation
     assert given is not None
     num_terms = given.terms.shape[-1]
@@ -99,9 +99,9 @@ def _imputed(
 
 
 def with_stages(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, tuple[str, ...]]:
-    """Choose between pooled and separate stages by a log, or the sample that decides; and say what was chosen, and why.
+    """Choose between pooled and separate stages by a log or a sample of it; return the model and the reason.
 
-    There is a choice where there are several stages, none of them ended by an action, and trajectories to hold out.
+    There is a choice only if there are several stages, no action that ends a trajectory, and enough trajectories.
     """
     if model.horizon == 1 or model.task.end_action is not None or trajectories.num_trajectories < FEWEST_HELD_OUT:
         return model, model.chosen
@@ -117,7 +117,7 @@ def with_stages(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, 
 
 
 def _gains_of_separate(pooled: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarray, " n"]:
-    """Squared error of pooled less that of separate stages, of each trajectory, fitted without its fold."""
+    """Squared error of pooled minus that of separate stages, for each trajectory, fitted without its fold."""
     log = pooled.transitions(trajectories)
     regression = pooled.regression(trajectories.num_trajectories, log.is_possible.shape[-1])
     fold = np.random.default_rng([pooled.random_state, 2]).permutation(trajectories.num_trajectories) % NUM_FOLDS
@@ -126,7 +126,7 @@ def _gains_of_separate(pooled: QModel, trajectories: TrajectoryArrays) -> Float[
     def gains(k: int) -> Float[np.ndarray, " n"]:
         some = log.counted((fold != k).astype(np.float64))
         pooled = judged(fit_q(some, regression), log, blocks, "pooled", log.reward)
-        # Separate stages are fitted to the targets of pooled ones.
+        # Separate stages are fitted to the targets of the pooled ones.
         to_be = some._replace(reward=targets(some, pooled.value))
         separate = judged(fit_each_stage(to_be, regression), log, blocks, "separate", log.reward)
         errors = (pooled.taken - pooled.target) ** 2 - (separate.taken - pooled.target) ** 2
@@ -139,7 +139,7 @@ def _gains_of_separate(pooled: QModel, trajectories: TrajectoryArrays) -> Float[
 def with_half_life(
     model: QModel, trajectories: TrajectoryArrays, num_trajectories: int
 ) -> tuple[QModel, tuple[str, ...]]:
-    """Choose a half-life by the same, of a log of so many trajectories, if that is asked for; and say why."""
+    """Choose a half-life on held-out later trajectories of a log, if requested; return the model and the reason."""
     if model.half_life != "auto":
         return model, ()
     plain = replace(model, half_life=None)
@@ -149,7 +149,7 @@ def with_half_life(
     gains = _gains_of_recency(replace(plain, pessimism=0.0, has_many_actions=False), trajectories)
     best = gains[int(np.argmax(gains.mean(axis=1)))]
     lacks = [_mean_and_error(best - each) for each in gains]
-    # The longest that does not predict clearly worse than the best one leaves most to learn from.
+    # The longest half-life that does not predict clearly worse than the best leaves the most data.
     chosen = next(number for number, (lack, error) in enumerate(lacks) if lack <= CLEARLY_WORSE * error)
     gain, error = _mean_and_error(gains[chosen])
     found = f"({gain:.3g} ± {error:.2g} squared error a trajectory)"
@@ -162,7 +162,7 @@ def with_half_life(
 
 
 def _gains_of_recency(plain: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarray, "H k"]:
-    """Squared error without a half-life, less that with each, of each of the latest trajectories."""
+    """Squared error without a half-life minus that with each, for each of the latest trajectories."""
     num, log = trajectories.num_trajectories, plain.transitions(trajectories)
     regression = plain.regression(num, log.is_possible.shape[-1])
     ends = np.linspace(num * (1.0 - LATEST), num, NUM_BLOCKS + 1).astype(int).tolist()
@@ -170,7 +170,7 @@ def _gains_of_recency(plain: QModel, trajectories: TrajectoryArrays) -> Float[np
     seen = _seen(log)[later]
 
     def before(end: int, half_life: float | None = None) -> Float[np.ndarray, " n"]:
-        """What trajectories count where those before one are learned from."""
+        """Weights for learning from the trajectories before `end`."""
         counts = np.zeros(num)
         counts[:end] = 1.0 if half_life is None else recency_weights(end, half_life)
         return counts
@@ -190,7 +190,7 @@ def _gains_of_recency(plain: QModel, trajectories: TrajectoryArrays) -> Float[np
 
 
 def _seen(log: Transitions) -> Float[np.ndarray, "n T"]:
-    """What completed stages weigh."""
+    """Weights of completed stages."""
     return log.weight if log.imputation is None else log.weight * log.imputation.outcome_weight
 
 

@@ -1,4 +1,4 @@
-"""The task of named actions: each has its own coefficients on the same plain covariates of the stage."""
+"""The task of named actions: each action has its own coefficients on the same plain covariates of the stage."""
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,7 +18,7 @@ from halfseen.logs.missing import Filling
 from halfseen.shapes import Bool, Float, Int
 
 MOST_MEMORY = 8e9
-"""That the features of all stages and actions of a log may take [bytes]."""
+"""Limit for the features of all stages and actions of a log [bytes]."""
 
 Actions = Sequence[Hashable] | Mapping[int, Sequence[Hashable]]
 
@@ -30,18 +30,18 @@ class NamedActions:
     Parameters
     ----------
     actions
-        Their names; or, by stage from 1, the names of those that are possible there.
+        Their names, or a mapping from stage (from 1) to the names of the actions possible there.
     covariates
-        Columns of the stages that Q looks at.
+        Columns of the stages that Q uses.
     categories
-        Of the columns that hold text; of those that are not given they are learned by `fitted`.
+        Categories of the text columns; those not given are learned by `fitted`.
     filling
-        What stands for covariates that are missing, as `fitted` finds it in the log; None where null is refused.
+        Values that replace missing covariates, as `fitted` finds them in the log; None if null is refused.
 
     Raises
     ------
     ArgumentError
-        A stage has no action, or one twice; or names are given as one text.
+        A stage has no action, or one twice; or the names are a single string.
     """
 
     actions: Actions
@@ -75,22 +75,22 @@ class NamedActions:
         return tuple(map(str, self.names))
 
     def fitted(self, logs: Logs, horizon: int) -> "NamedActions":
-        """Learn the categories of what is text in a log, whether Q looks at it or cuts may depend on it.
+        """Learn the categories of the text columns of a log, whether Q uses them or cuts may depend on them.
 
         Raises
         ------
         LogError
-            A covariate of Q holds text that cannot be looked at; the message says why.
+            A covariate of Q holds text that cannot be used; the message gives the reason.
         """
         return self.fitted_to_parts([logs], logs.filling)
 
     def fitted_to_parts(self, parts: Iterable[Logs], filling: Filling | None) -> "NamedActions":
-        """Do so from a log in parts of whole trajectories, and keep what stands for its nulls."""
+        """Do the same from a log in parts of whole trajectories, and store the replacements of its nulls."""
         return replace(self, categories=learned_categories(parts, self.covariates, self.categories), filling=filling)
 
     @property
     def looks_at(self) -> Covariates:
-        """How the covariates of Q become numbers."""
+        """The encoding of the covariates of Q."""
         return Covariates(tuple(self.covariates), self.categories)
 
     def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
@@ -124,7 +124,7 @@ class NamedActions:
         Raises
         ------
         ArgumentError
-            One of them is none of the covariates of Q.
+            One of them is not a covariate of Q.
         """
         unknown = [name for name in names if name not in self.covariates]
         if unknown:
@@ -133,14 +133,14 @@ class NamedActions:
         return np.isin(np.array(self.looks_at.sources), list(names)).astype(np.float64)
 
     def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_trajectory: bool) -> pd.DataFrame:
-        """Columns of the stages as numbers, and indicators of all actions but the last; NaN where it is not known.
+        """Columns of the stages as numbers, and indicators of all actions but the last; NaN if the action is not known.
 
         Raises
         ------
         LogError
             The log lacks a column.
         ArgumentError
-            A column holds neither numbers nor text that can be looked at.
+            A column holds neither numbers nor usable text.
         """
         columns = [*self.covariates, *([] if is_by_trajectory else [ACTION])] if names is None else names
         missing = [name for name in columns if name not in logs.stages.columns]
@@ -154,15 +154,15 @@ class NamedActions:
         return pd.concat([pd.DataFrame(index=logs.stages.index), *parts], axis=1)
 
     def fitted_to_rewards(self, parts: Iterable[RewardedStages]) -> "NamedActions":
-        """Nothing is known of the noise."""
+        """Return the task unchanged: it has no model of the noise."""
         return self
 
     def reduce_variance(self, stages: RewardedStages) -> tuple[Float[np.ndarray, "n T"], None]:
-        """Rewards as they are."""
+        """Return rewards unchanged."""
         return stages.reward, None
 
     def policy(self, learned: LearnedQ) -> DiscretePolicy:
-        """Policy that follows Q-functions, or a batch of them, and takes what has a value."""
+        """Policy that follows Q-functions, or a batch of them, and takes only actions that have a value."""
         coefficients, seen, margin = learned.coefficients, learned.is_seen, learned.margin
         possible = self._possible_by_stage(coefficients.shape[-3])
         return DiscretePolicy(
@@ -184,7 +184,7 @@ class NamedActions:
         Raises
         ------
         ArgumentError
-            The policy is none, or takes an action that the task does not have.
+            The policy is not a `NamedActionPolicy`, or takes an action that the task does not have.
         """
         if not isinstance(policy, NamedActionPolicy):
             raise ArgumentError(f"{type(policy).__name__} decides nothing about named actions, which the task is of")
@@ -238,7 +238,7 @@ class NamedActions:
 
 
 def action_indicators(taken: Any, actions: Sequence[Hashable]) -> pd.DataFrame:
-    """Indicators of all actions but the last, ``action=NAME``; NaN where the action is not known."""
+    """Indicators of all actions but the last, ``action=NAME``; NaN if the action is not known."""
     is_unknown = taken.isna().to_numpy()
     columns = {f"action={name}": np.where(is_unknown, np.nan, taken.eq(name).to_numpy(float)) for name in actions[:-1]}
     return pd.DataFrame(columns, index=taken.index)

@@ -1,10 +1,10 @@
-"""A Q that promises more than the log makes likely is not believed.
+"""A Q that promises more than the log makes plausible is rejected.
 
-Errors of Q add up backwards: the largest of several Qs is the likelier one that errs upwards, and is the target of the
-stage before. Over many stages a smooth Q may rise beyond all that was seen, and its policy then waits for what never
-comes. What V̂ promises is a mean. Where there are many stages, and it is more than nineteen in twenty of the
-trajectories that finished have brought, it is not believed, and Q is linear, unless that promises as much. Of few
-stages it may be right: what the log does may be far from the best.
+Errors of Q accumulate backwards: the maximum over several Qs favours those that err upwards, and it is the target of
+the stage before. Over many stages a smooth Q may exceed everything that was observed, and its policy then waits for
+rewards that never come. V̂ of the first stage is a mean. If there are many stages and V̂ exceeds the returns of 95 % of
+the finished trajectories, it is rejected and Q is linear, unless a linear Q promises as much. With few stages a large
+V̂ may be right: the behaviour policy may be far from optimal.
 """
 
 from collections.abc import Callable
@@ -21,18 +21,18 @@ from halfseen.logs import Logs, LogStream
 
 MANY_STAGES = 10
 RARE = 0.95
-"""Quantile of what finished trajectories brought."""
+"""Quantile of the returns of finished trajectories."""
 FEWEST_FINISHED = 20
-"""Trajectories below which nothing is said."""
+"""Fewest finished trajectories for this check."""
 
 
 def believable(learn: Callable[[QModel], Learned], model: QModel, logs: Logs | LogStream) -> Learned:
-    """Learn; of many stages with a linear Q where nobody asked for the smooth one, and it promises too much.
+    """Learn; with many stages, learn again with a linear Q if a default smooth one promises too much.
 
     Parameters
     ----------
     learn
-        Learns from the log as a model says.
+        Function that learns from the log with a given model.
     model
         The model.
     logs
@@ -51,7 +51,7 @@ def believable(learn: Callable[[QModel], Learned], model: QModel, logs: Logs | L
 
 
 def too_hopeful(policy: object, logs: Logs) -> str:
-    """Say what V̂ of the first stage promises, where that is more than the log makes likely; nothing where it is not."""
+    """Describe V̂ of the first stage if it exceeds what the log makes plausible; empty if it does not."""
     finished = logs.trajectory_ids[logs.is_finished]
     if not isinstance(policy, DiscretePolicy) or len(finished) < FEWEST_FINISHED:
         return ""

@@ -1,9 +1,9 @@
-"""Censored Q-learning behind scikit-learn's habits: parameters in, `fit`, fitted names that end in ``_``.
+"""Censored Q-learning as a scikit-learn estimator: parameters in, `fit`, fitted attributes that end in ``_``.
 
-Where nothing is said there is one strong recipe, and a choice only where logs can tell: imputed targets, for weights
-make noise and completed stages alone mislead; a quadratic with a smooth remainder, or what a task's own features are
-made for, a linear Q; and Q at its lower confidence bound. `benchmarks/learners.py` compares the recipe with others, on
-logs that it was not chosen on.
+The defaults are one strong recipe. Targets are imputed, because weights add noise and completed stages alone are
+biased. Q is a quadratic with a smooth remainder, or linear in features that a task defines, and is taken at its lower
+confidence bound. Only choices that logs can decide are left to them. `benchmarks/learners.py` compares the recipe with
+others, on logs that were not used to choose it.
 """
 
 from collections.abc import Hashable, Mapping, Sequence
@@ -46,15 +46,15 @@ from halfseen.workers import Workers
 from halfseen.workers.threads import in_one_thread
 
 PESSIMISM = 2.0
-"""Standard errors by which the value of a whole trajectory is lowered, were the errors of its stages independent."""
+"""Standard errors by which the value of a whole trajectory is lowered if the errors of its stages are independent."""
 
 MANY_ACTIONS = 8
-"""So many actions have few stages each, so that partial pooling pays (`benchmarks/many_actions.py`)."""
+"""From this many actions on, each has few stages, and partial pooling pays (`benchmarks/many_actions.py`)."""
 
 
 @dataclass(eq=False, repr=False)
 class CensoredQLearner(Estimator):
-    """Learns a policy from trajectories of which some were right-censored (paper, eq. 3) [GoldbergKosorok2012]_.
+    """Learn a policy from trajectories of which some were right-censored (paper, eq. 3) [GoldbergKosorok2012]_.
 
     Backwards from Q̂_{T+1} ≡ 0, each Q̂_t regresses R_t + max_a' Q̂_{t+1}(S_{t+1}, a') on (S_t, A_t) over the completed
     stages, weighted by δ_t / Ĝ(U_t⁻).
@@ -62,47 +62,47 @@ class CensoredQLearner(Estimator):
     Parameters
     ----------
     horizon
-        T, stages that a trajectory may have.
+        T, the maximum number of stages of a trajectory.
     actions
-        Names of the actions, or for each stage (from 1) the names of those possible there; or a `Task`, such as that of
-        tables (see `for_table`).
+        Names of the actions, or a mapping from stage (from 1) to the names of the actions possible there, or a `Task`,
+        such as that of tables (see `for_table`).
     covariates
-        Columns of the stages that Q looks at, for named actions: numbers, or text of at most 20 categories, each of
-        which but the first has an indicator (`covariates`). Text of more is a state, and then the only covariate.
+        Stage columns that Q uses, for named actions: numbers, or text of at most 20 categories, with an indicator for
+        each but the first (`covariates`). Text of more categories is a state, and must be the only covariate.
     q_function
-        ``"linear"``: Q is linear in the covariates (for another task, in its features); ``"quadratic"``: in them and
-        their products; ``"kernel"`` or ``KernelQ(…)``: Q is in the RKHS of a Gaussian kernel on them; ``"smooth"``: a
-        quadratic and such a function; ``"auto"``: smooth, but linear where a task makes features of its own, or
-        covariates and actions are so many that it would take minutes, and tabular where the one covariate is text
-        of more than 20 categories; ``"tabular"``: a value for each action in each state that a column names, partially
-        pooled (`tabular`).
+        ``"linear"``: Q is linear in the covariates (for another task, in its features). ``"quadratic"``: linear in the
+        covariates and their products. ``"kernel"`` or ``KernelQ(…)``: in the RKHS of a Gaussian kernel on them.
+        ``"smooth"``: the sum of a quadratic and an RKHS function. ``"tabular"``: one value per action and state, the
+        state named by a column, with partial pooling (`tabular`). ``"auto"``: smooth; but linear if a task defines its
+        own features, or if covariates and actions are so many that a fit would take minutes; and tabular if the only
+        covariate is text of more than 20 categories.
     censoring
-        What stands for what cuts took away: ``"kaplan-meier"``, ``"cox"``, ``"kernel"`` or a `CensoringModel`: weights
-        by that model of the cuts, or ``Weighted(…)`` with its clock and covariates; ``DoublyRobust(…)``:
-        pseudo-outcomes for every begun stage; ``"buckley-james"`` or ``BuckleyJames(…)``: imputed by a regression
-        alone; ``"none"``: completed stages count alike; ``"auto"``: imputed, or weights by Kaplan–Meier where the
-        action of a cut stage is not known.
+        How the rewards that cuts removed are replaced. ``"kaplan-meier"``, ``"cox"``, ``"kernel"`` or a
+        `CensoringModel`: weights by that model of the cuts, or ``Weighted(…)`` with its clock and covariates.
+        ``DoublyRobust(…)``: pseudo-outcomes for every stage that began. ``"buckley-james"`` or ``BuckleyJames(…)``:
+        imputed by a regression alone. ``"none"``: completed stages get equal weights. ``"auto"``: imputed, or
+        Kaplan–Meier weights if the action of a cut stage is not known.
     stages
-        ``"separate"``: one Q a stage; ``"pooled"``: one Q for each number of steps to go, on the rows of all stages;
-        ``"auto"``: pooled, unless separate ones clearly predict better (`judging`).
+        ``"separate"``: one Q per stage. ``"pooled"``: one Q per number of steps to go, fitted to the rows of all
+        stages. ``"auto"``: pooled, unless separate stages predict clearly better (`judging`).
     reg
         λ; ``"cv"`` or ``CrossValidation(…)`` to choose it for each regression and block by weighted cross-validation
         over trajectories.
     pessimism
-        Standard errors by which Q is lowered wherever the largest is sought, in eq. 3 and by the policy, so that what
-        few stages speak for is not taken on their word (`regression`); by the policy less, the more the log takes an
-        action anyway (`behaviour`); 0 for eq. 3 as it stands. ``"auto"``: 2/√T, but 0 where `censoring` is given.
+        Standard errors by which Q is lowered wherever a maximum is taken, in eq. 3 and by the policy, so that estimates
+        from few stages are not trusted (`regression`). The policy lowers Q less for actions that the log often takes
+        (`behaviour`). 0 gives eq. 3 unchanged. ``"auto"``: 2/√T, but 0 if `censoring` is given.
     random_state
-        Seed that deals trajectories into folds and draws the landmarks of a kernel.
+        Seed for assigning trajectories to folds and drawing the landmarks of a kernel.
     half_life
-        Trajectories by which what they count in eq. 3 halves, from the last one of the log to its first (`sample`);
-        ``"auto"`` to choose it on held-out later ones (`judging`); None where all count alike. Models of the cuts and
-        of durations count all alike.
+        Number of trajectories over which a trajectory's weight in eq. 3 halves, counted back from the last of the log
+        (`sample`). ``"auto"`` chooses it on held-out later trajectories (`judging`); None weights all equally. Models
+        of cuts and of durations always weight all equally.
 
     Attributes
     ----------
     model_ : QModel
-        What was composed of the parameters, with all that was fitted before Q.
+        The model composed from the parameters, with everything fitted before Q.
     q_functions_ : QFunctions
         Coefficients and λ of every Q.
     weights_ : Float[ndarray, "n T"]
@@ -110,9 +110,9 @@ class CensoredQLearner(Estimator):
     diagnostics_ : WeightDiagnostics
         Effective sample size, largest weight, share truncated.
     chosen_ : tuple of str
-        What was chosen by itself, and why; a sentence each.
+        What was chosen automatically, and why; one sentence each.
     policy_ : DiscretePolicy, or what the task makes
-        The policy that was learned, with nothing of the learner.
+        The learned policy, independent of the learner.
 
     Examples
     --------
@@ -165,19 +165,19 @@ class CensoredQLearner(Estimator):
         laws: str | None = AUTO,
         **parameters: Any,
     ) -> "CensoredQLearner":
-        """Make a learner for logs of tables of objects: WASH, LIFT and FINISH; `laws` is refused if it is neither.
+        """Make a learner for logs of tables of objects, with the actions WASH, LIFT and FINISH.
 
         Parameters
         ----------
         horizon
             T.
         grasp, reduces_variance
-            Of the task (see `halfseen.tables.TableTask`).
+            Parameters of the task (see `halfseen.tables.TableTask`).
         laws
-            ``"auto"``: with the help of laws fitted to the log (see `halfseen.tables.TableLearner`), unless something
-            is said of Q, its stages, λ or pessimism, which is of eq. 3 without laws; None for eq. 3 without laws.
+            ``"auto"``: with the help of laws fitted to the log (see `halfseen.tables.TableLearner`), unless
+            `q_function`, `stages`, `reg`, `pessimism` or `half_life` is given; None: eq. 3 without laws; else refused.
         **parameters
-            Of the learner.
+            Parameters of the learner.
         """
         task = named_task("table", grasp=grasp, reduces_variance=reduces_variance)
         return learner_of("table", cls, laws, parameters)(horizon, task, **parameters)
@@ -201,16 +201,16 @@ class CensoredQLearner(Estimator):
         num_robots
             K.
         horizon
-            Decisions of each robot; T is K times as many.
+            Decisions of each robot; T is K times this number.
         grasp, reduces_variance, base
-            Of the task (see `halfseen.tables.TeamTask`). Where `base` is given, no laws help.
+            Parameters of the task (see `halfseen.tables.TeamTask`). If `base` is given, no laws are used.
         laws, **parameters
             As in `for_table`.
 
         Raises
         ------
         ArgumentError
-            `num_robots` or `horizon` is below 1, or no whole number; `laws` is neither.
+            `num_robots` or `horizon` is not a whole number of at least 1, or `laws` is not valid.
         """
         if not is_count(num_robots):
             raise ArgumentError(f"num_robots is {num_robots!r}; a team has a whole number of robots, at least 1")
@@ -228,7 +228,7 @@ class CensoredQLearner(Estimator):
         covariates: Sequence[str] = (),
         **changed: Any,
     ) -> "CensoredQLearner":
-        """Make the learner of eq. 3 as it stands: weights by Kaplan–Meier, a linear Q for each stage, no pessimism."""
+        """Make the learner of eq. 3 unchanged: Kaplan–Meier weights, a linear Q for each stage, no pessimism."""
         fixed = {"q_function": "linear", "censoring": "kaplan-meier", "stages": "separate", "pessimism": 0.0}
         return cls(horizon, actions, covariates, **(fixed | changed))
 
@@ -239,15 +239,15 @@ class CensoredQLearner(Estimator):
         Parameters
         ----------
         logs
-            The log. A `LogStream` is read in passes, one for each stage and some before, and never held whole. What is
-            learned is the same. Ĝ on the clock of stages holds the clocks of all stages, and what cuts may depend on.
+            The log. A `LogStream` is read in passes, one for each stage and some before, with the same result. Only
+            the clocks and censoring covariates of all stages are held, if Ĝ is on the clock of stages.
         workers
-            Who sums up the shards of a `LogStream`, to the same bytes; None for this process alone.
+            Workers that sum up the shards of a `LogStream`, with byte-identical results; None for this process alone.
 
         Raises
         ------
         ArgumentError
-            A parameter has a value that it cannot take.
+            A parameter has an invalid value.
         LogError
             The log lacks a column, is longer than the horizon, or holds an action that was not possible.
         PositivityError
@@ -262,14 +262,14 @@ class CensoredQLearner(Estimator):
         return self
 
     def compose(self, logs: Logs | LogStream | None = None) -> QModel:
-        """Check the parameters, or refuse them, and compose what they say of a log; nothing is fitted.
+        """Check the parameters and compose the model for a log; nothing is fitted.
 
-        Targets are imputed by themselves, but weighted where the action of a stage in which a trajectory was cut is not
-        known; 𝒬 is smooth in plain covariates, linear where that would take too long (`q_model.MOST_WORK`) or promises
-        too much (`promise`), and in the features that a task makes for each action; pessimism is 2/√T for each of T
-        stages, whose margins add up, and 0, eq. 3 as it is, where targets are fixed. With pessimism and eight actions
-        or more they are partially pooled (`recursion`), and the policy keeps to what the log does where they cannot
-        tell (`behaviour`).
+        By default targets are imputed, but weighted if the action of a stage in which a trajectory was cut is not
+        known. 𝒬 is smooth in plain covariates, but linear if a smooth fit would take too long (`q_model.MOST_WORK`) or
+        promises too much (`promise`), and linear in the features that a task defines for each action. Pessimism is 2/√T
+        for each of T stages, because their margins add up, and 0, i.e. eq. 3 unchanged, if `censoring` is given. With
+        pessimism and eight actions or more, the actions are partially pooled (`recursion`), and the policy prefers the
+        actions of the log where their Qs do not differ clearly (`behaviour`).
         """
         task, is_fixed = self._task(), not _is_auto(self.censoring)
         is_of_policy = bool(getattr(task, "is_of_policy", False))
@@ -301,7 +301,7 @@ class CensoredQLearner(Estimator):
         return replace(model, has_many_actions=has_many_actions)
 
     def _of_table(self, task: Task, logs: Logs | LogStream | None, targets: Targets) -> QModel:
-        """Compose a tabular Q: pooled stages, and cells that are shrunk in place of pessimism."""
+        """Compose a tabular Q: pooled stages, and cells shrunk instead of pessimism."""
         if self.stages not in (AUTO, "pooled") or self.pessimism not in (AUTO, 0):
             raise ArgumentError(
                 f"q_function is 'tabular', which pools stages and shrinks what few speak for, but stages is "
@@ -319,22 +319,22 @@ class CensoredQLearner(Estimator):
         )
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
-        """Q̂ of every action in a stage (from 1), for each row of covariates; named actions only."""
+        """Q̂ of every action in a stage (from 1), for each row of covariates; for named actions only."""
         return self._named_policy().q_values(frame, stage)
 
     def decide(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
-        """Name the action that the policy takes, for each row of covariates; named actions only."""
+        """Return the action that the policy takes, for each row of covariates; for named actions only."""
         return self._named_policy().decide(frame, stage)
 
     @property
     def cut_model_(self) -> CutModel | None:
-        """Ĝ; None without one."""
+        """Ĝ; None if there is none."""
         check_fitted(self, "model_")
         return self.model_.cut_model
 
     @property
     def unseen_(self) -> list[str]:
-        """One sentence for each action that the log never saw completed, and that the policy therefore never takes."""
+        """One sentence for each action that was never completed in the log, so that the policy never takes it."""
         check_fitted(self, "model_")
         assert self.model_.support is not None
         return unseen_in_words(self.model_.support, self.model_.task.block_names, self.model_.stages)

@@ -1,6 +1,6 @@
-"""All that turns a log into the transitions of eq. 3 and these into Q: composed once, used by anyone who fits a Q.
+"""The model that turns a log into the transitions of eq. 3, and these into Q.
 
-The learner, the bootstrap, the study and off-policy evaluation all start from a `QModel`.
+It is composed once; the learner, the bootstrap, the study and off-policy evaluation all start from a `QModel`.
 """
 
 from collections.abc import Iterable
@@ -46,22 +46,22 @@ from halfseen.shapes import Bool, Float, Int
 from halfseen.workers.threads import one_thread
 
 MOST_WORK = 1e8
-"""K·F³ of K blocks of F features that a Q may have which nobody asked for: seconds. Twenty covariates of three actions,
-or eight of sixteen, are smooth; thirty-two of sixteen are linear."""
+"""Largest K·F³, for K blocks of F features, of a Q chosen by default; a fit takes seconds. Twenty covariates of three
+actions, or eight of sixteen, are smooth; thirty-two of sixteen are linear."""
 MOST_MEMORY = 4e9
-"""That sums over rows may take [bytes]."""
+"""Limit for sums over rows [bytes]."""
 NUM_SUMS = 4
-"""Matrices of sums of each fold and block (`sums.Moments`)."""
+"""Matrices of sums for each fold and block (`sums.Moments`)."""
 
 
 def is_count(value: object) -> bool:
-    """Whether a value is a whole number, 1 or above."""
+    """Whether a value is a whole number of at least 1."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= 1
 
 
 @dataclass(frozen=True)
 class QModel:
-    """How Q is fitted: parameters of `CensoredQLearner`, read and checked, and what was fitted before Q."""
+    """How Q is fitted: the checked parameters of `CensoredQLearner`, and what is fitted before Q."""
 
     horizon: int
     task: Task
@@ -71,36 +71,36 @@ class QModel:
     stages: StageMode = "separate"
     random_state: int = 0
     cut_model: CutModel | None = None
-    """Ĝ, once it is fitted."""
+    """Ĝ, once fitted."""
     kernel_map: KernelMap | None = None
-    """Features of the RKHS, once they are chosen."""
+    """Features of the RKHS, once chosen."""
     support: Support | None = None
-    """What the log has seen completed, once it was looked at."""
+    """What was completed in the log, once counted."""
     pessimism: float = 0.0
-    """Standard errors of Q by which it is lowered wherever the largest is sought, in eq. 3 and by the policy."""
+    """Standard errors by which Q is lowered wherever a maximum is taken, in eq. 3 and by the policy."""
     behaviour: Float[np.ndarray, "K G"] | None = None
-    """Coefficients of the behaviour policy, once it is fitted, which is for pessimism alone."""
+    """Coefficients of the behaviour policy, once fitted; needed for pessimism only."""
     durations: DurationModel | None = None
-    """How long stages last, where that is fitted beforehand, as for a log in parts; None to fit it to each log."""
+    """Model of the durations of stages if fitted beforehand, as for a log in parts; None to fit it to each log."""
     is_space_free: bool = False
-    """Whether nobody asked for this 𝒬, so that it gives way to a linear one where it would take too long."""
+    """Whether 𝒬 is a default, to be replaced by a linear one if it would take too long."""
     space_chosen: tuple[str, ...] = ()
-    """Why it gave way."""
+    """Why it was replaced."""
     has_many_actions: bool = False
-    """Whether the Q of each action is shrunk towards what all have in common, rather than towards 0, and the policy
-    towards what the log does (`behaviour`)."""
+    """Whether the Q of each action is shrunk towards a fit common to all actions, rather than towards 0, and the policy
+    towards the behaviour policy (`behaviour`)."""
     behaviour_weight: float = 0.0
-    """τ of that preference, once it is found."""
+    """τ of that preference, once estimated."""
     half_life: float | str | None = None
-    """Trajectories by which what they count in eq. 3 halves (`sample`); ``"auto"`` until it is chosen, None where all
-    count alike."""
+    """Trajectories over which the weight in eq. 3 halves (`sample`); ``"auto"`` until it is chosen, None for equal
+    weights."""
 
     def __post_init__(self) -> None:
         if not is_count(self.horizon):
             raise ArgumentError(f"horizon is {self.horizon!r}; a trajectory has a whole number of stages, at least 1")
 
     def fitted(self, logs: Logs) -> tuple["QModel", TrajectoryArrays]:
-        """Fit to a log what comes before Q: what the task learns, Ĝ, and the features of the kernel."""
+        """Fit to a log what comes before Q: the task, Ĝ, and the features of the kernel."""
         self.check_horizon(logs)
         rows = sampled(logs.num_trajectories, self.random_state)
         some = logs if len(rows) == logs.num_trajectories else logs.select(logs.trajectory_ids[rows])
@@ -111,28 +111,28 @@ class QModel:
         return model.with_sample(model.sample_of(trajectories)), trajectories
 
     def check_horizon(self, logs: Logs) -> None:
-        """Refuse a log with longer trajectories."""
+        """Refuse a log whose trajectories are longer than the horizon."""
         if logs.horizon > self.horizon:
             raise ArgumentError(f"horizon is {self.horizon}, but a trajectory has {logs.horizon} stages; raise horizon")
 
     def with_task(self, parts: Iterable[Logs], sample: Logs) -> "QModel":
-        """Fit what the task learns to a sample; but what categories there are only all parts can tell."""
+        """Fit the task to a sample, but its categories to all parts."""
         task = self.task
         if isinstance(task, NamedActions):
             return replace(self, task=task.fitted_to_parts(parts, sample.filling))
         return replace(self, task=task.fitted(sample, self.horizon))
 
     def sample_of(self, trajectories: TrajectoryArrays) -> TrajectoryArrays:
-        """Trajectories that decide on what is no sum (`sample`)."""
+        """Sample of trajectories for what cannot be computed from sums (`sample`)."""
         rows = sampled(trajectories.num_trajectories, self.random_state)
         return trajectories if len(rows) == trajectories.num_trajectories else trajectories.take(rows)
 
     def with_clocks(self, clocks: StageClocks, support: Support) -> "QModel":
-        """Fit Ĝ to the clocks of a log that has seen this completed."""
+        """Fit Ĝ to the clocks of a log, and keep the log's support."""
         return replace(self, cut_model=self.targets.fit_cuts(clocks), support=support)
 
     def with_sample(self, trajectories: TrajectoryArrays) -> "QModel":
-        """Choose the features of a kernel, and fit the behaviour policy, if there is a margin that it may waive."""
+        """Choose the features of a kernel, and fit the behaviour policy if there is a margin for it to reduce."""
         refuse_vanishing(trajectories.reward[trajectories.is_completed])
         model = self._with_affordable_space(trajectories.features.shape[-1])
         taken = trajectories.encoded.taken[trajectories.is_completed]
@@ -154,16 +154,16 @@ class QModel:
         return 1 if self.is_joint else len(self.task.block_names)
 
     def is_affordable(self, num_inputs: int) -> bool:
-        """Tell whether a Q of so many inputs is fitted in seconds."""
+        """Whether a Q with this many inputs can be fitted in seconds."""
         return self.num_blocks * self.space.num_features(num_inputs) ** 3 <= MOST_WORK
 
     def _with_affordable_space(self, num_inputs: int) -> "QModel":
-        """Take a linear Q where nobody asked for another and it is too large; refuse what memory does not hold."""
+        """Replace a default 𝒬 that is too large by a linear one; refuse a Q that does not fit in memory."""
         num_blocks, num_features = self.num_blocks, self.space.num_features(num_inputs)
         if self.is_space_free and not self.is_affordable(num_inputs):
             why = f"Q is linear: a smooth one would have {num_features} features for each of {num_blocks} actions"
             return replace(self, space=LinearQ(), space_chosen=(why,))
-        # Of pooled stages there are the rows that go on, and those that the horizon ended.
+        # Pooled stages have two slices: rows that go on, and rows that the horizon ended.
         num_slices = self.horizon if self.stages == "separate" else 2
         num_folds = self.reg.num_folds if isinstance(self.reg, CrossValidation) else 1
         needed = 8.0 * NUM_SUMS * num_folds * num_slices * num_blocks * (1 + num_features) ** 2
@@ -176,16 +176,16 @@ class QModel:
         return self
 
     def with_durations(self, trajectories: TrajectoryArrays) -> "QModel":
-        """Fit how long stages last, if targets are imputed."""
+        """Fit the durations of stages, if targets are imputed."""
         return replace(self, durations=self._durations_of(trajectories)) if self.targets.is_imputed else self
 
     def support_in(self, trajectories: TrajectoryArrays) -> Support:
-        """Count what a log has seen completed."""
+        """Count what was completed in a log."""
         return support_of(trajectories, self.kinds(trajectories.is_possible.shape[-1]), len(self.task.block_names))
 
     @property
     def is_joint(self) -> bool:
-        """Whether one block of coefficients serves all kinds of actions, which features tell apart."""
+        """Whether one block of coefficients serves all kinds of actions, because features distinguish them."""
         return bool(getattr(self.task, "is_joint", False))
 
     def blocks(self, num_actions: int) -> Int[np.ndarray, " A"]:
@@ -194,18 +194,18 @@ class QModel:
         return np.zeros_like(kinds) if self.is_joint else kinds
 
     def kinds(self, num_actions: int) -> Int[np.ndarray, " A"]:
-        """Kind of each action, among `Task.block_names`: what the log has to have seen completed."""
+        """Kind of each action, among `Task.block_names`: the unit for which the log needs completed stages."""
         return np.asarray(self.task.block_of_action(num_actions))
 
     def lay_out(self, logs: Logs) -> TrajectoryArrays:
-        """Lay out a log as the arrays that this model looks at."""
+        """Convert a log to the arrays that this model uses."""
         covariates, spec = None, self.targets
         if isinstance(spec, CensoringSpec) and spec.uses_covariates:
             covariates = self.task.censoring_covariates(logs, spec.covariates, spec.by == "trajectory")
         return trajectory_arrays(logs, self.task.encode(logs, self.horizon), covariates)
 
     def transitions(self, trajectories: TrajectoryArrays) -> Transitions:
-        """Make the transitions of eq. 3 of a log."""
+        """Make the transitions of eq. 3 from a log."""
         given = self.weights_and_imputation(trajectories)
         return self.weighted(trajectories, *given, self.folds(trajectories.num_trajectories))
 
@@ -229,7 +229,7 @@ class QModel:
         imputed: Imputation | None,
         fold: Int[np.ndarray, " n"],
     ) -> Transitions:
-        """Make the transitions of eq. 3 with weights and folds that are given."""
+        """Make the transitions of eq. 3 with given weights and folds."""
         reward, variates = self.task.reduce_variance(self.rewarded(trajectories, weight))
         is_possible = trajectories.is_possible
         features = trajectories.features[:, :, :1] if self.task.is_shared else trajectories.features
@@ -250,14 +250,14 @@ class QModel:
         )
 
     def recent(self, log: Transitions, first: int = 0, num_trajectories: int | None = None) -> Transitions:
-        """Let later trajectories count more, if they are to: those of a log from the number `first` on, of so many."""
+        """Apply the half-life, if any, to trajectories that start at number `first` of a log of `num_trajectories`."""
         if not isinstance(self.half_life, float):
             return log
         weights = recency_weights(num_trajectories or len(log.action), self.half_life)
         return log.counted(weights[first : first + len(log.action)])
 
     def rewarded(self, trajectories: TrajectoryArrays, weight: Float[np.ndarray, "n T"]) -> RewardedStages:
-        """What stages paid; those that were cut count for nothing."""
+        """Rewards and weights of stages; cut stages have weight 0."""
         observed = np.where(trajectories.is_completed, weight, 0.0)
         return RewardedStages(trajectories.encoded, trajectories.reward, observed, trajectories.is_last)
 
@@ -287,7 +287,7 @@ class QModel:
 
     @property
     def chosen(self) -> tuple[str, ...]:
-        """What was chosen by itself, and why."""
+        """What was chosen automatically, and why."""
         of_task, preferred = getattr(self.task, "chosen", ()), ()
         if self.has_many_actions and self.behaviour_weight == 0:
             preferred = ("what the log does counts for nothing: stages in which it did as it prefers brought no more",)
@@ -298,7 +298,7 @@ class QModel:
         return (*self.space_chosen, *preferred, *of_task)
 
     def regression(self, num_trajectories: int, num_actions: int) -> Regression:
-        """Say how each step of eq. 3 is fitted, on so many trajectories."""
+        """Describe how each step of eq. 3 is fitted."""
         return Regression(
             block_of_action=self.blocks(num_actions),
             num_blocks=self.num_blocks,
@@ -312,7 +312,7 @@ class QModel:
         )
 
     def folds(self, num_trajectories: int) -> Int[np.ndarray, " n"]:
-        """Deal trajectories into folds, uniformly at random; without cross-validation nothing is held out."""
+        """Assign trajectories to folds, uniformly at random; without cross-validation there is one fold."""
         order = np.random.default_rng(self.random_state).permutation(num_trajectories)
         return order % self._num_folds(num_trajectories)
 

@@ -1,9 +1,9 @@
-"""Where Q is sought, 𝒬: linear or quadratic in its features, or in an RKHS; by stage or pooled; how λ is chosen.
+"""The function class 𝒬: linear or quadratic in its features, or in an RKHS; separate or pooled; how λ is chosen.
 
-Features ψ of a Q in an RKHS have ψ(x)·ψ(z) = k(x, z) on the landmarks' span. k is Gaussian on features that are scaled
-to unit variance. With as many landmarks as there are different rows this is the whole RKHS that the data can use (the
-representer theorem); with fewer it is its low-rank form [WilliamsSeeger2000]_. A *trend* adds the features themselves
-and all their products of two, so that k is the sum of two kernels and Q that of a quadratic and of a smooth remainder.
+Features ψ of a Q in an RKHS satisfy ψ(x)·ψ(z) = k(x, z) on the span of the landmarks. k is Gaussian on features scaled
+to unit variance. With as many landmarks as distinct rows this is the whole RKHS that the data can use (the representer
+theorem); with fewer it is its low-rank form [WilliamsSeeger2000]_. A *trend* adds the features and all their pairwise
+products, so k is the sum of two kernels, and Q is the sum of a quadratic and a smooth remainder.
 """
 
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class KernelMap(NamedTuple):
 
     centre: Float[Any, " F"]
     scale: Float[Any, " F"]
-    """Mean and standard deviation of each feature; a feature that never varied has an infinite scale."""
+    """Mean and standard deviation of each feature; a constant feature has an infinite scale."""
     landmarks: Float[Any, "m F"]
     """m rows, scaled."""
     projection: Float[Any, "m r"]
@@ -32,7 +32,7 @@ class KernelMap(NamedTuple):
     gamma: Float[Any, ""]
     """γ of the Gaussian kernel exp(−γ‖x − z‖²), on scaled features."""
     trend: Float[Any, " Q"] | None = None
-    """c, of each z_i and z_i z_j; None without the quadratic trend."""
+    """c, for each z_i and z_i z_j; None without the quadratic trend."""
 
     @property
     def num_features(self) -> int:
@@ -40,7 +40,7 @@ class KernelMap(NamedTuple):
         return (0 if self.trend is None else len(self.trend)) + self.projection.shape[1]
 
     def __call__(self, features: Float[Any, "*S F"]) -> Float[Any, "*S r"]:
-        """Map features of states and actions, in the library of their array."""
+        """Map features of states and actions; the result is in the array library of the input."""
         xp = library_of(features)
         scaled = (features - self.centre) / self.scale
         if self.trend is None:
@@ -52,14 +52,14 @@ class KernelMap(NamedTuple):
 
 
 def gaussian(rows: Float[Any, "*S F"], others: Float[Any, "m F"], gamma: Any) -> Float[Any, "*S m"]:
-    """k(x, z) = exp(−γ‖x − z‖²) of each row with each of some others."""
+    """k(x, z) = exp(−γ‖x − z‖²) of each row with each of `others`."""
     xp = library_of(rows)
     far = xp.sum(rows**2, axis=-1, keepdims=True) + xp.sum(others**2, axis=-1)
     return xp.exp(-gamma * xp.maximum(far - 2.0 * rows @ others.T, 0.0))
 
 
 def quadratic(scaled: Float[Any, "*S F"]) -> Float[Any, "*S Q"]:
-    """Features, and the product of each two of them, squares among them."""
+    """Features and all their pairwise products, including squares."""
     xp = library_of(scaled)
     one, other = _pairs(scaled.shape[-1])
     return xp.concatenate([scaled, scaled[..., one] * scaled[..., other]], axis=-1)
@@ -67,7 +67,7 @@ def quadratic(scaled: Float[Any, "*S F"]) -> Float[Any, "*S Q"]:
 
 @cache
 def _pairs(num_features: int) -> tuple[np.ndarray, np.ndarray]:
-    """Each two of so many features; to find them takes longer than to multiply those of one state."""
+    """All pairs of features; cached, since finding them takes longer than multiplying those of one state."""
     return np.triu_indices(num_features)
 
 
@@ -83,16 +83,16 @@ def fit_kernel_map(
     Parameters
     ----------
     rows
-        Features of the stages and actions that were logged.
+        Features of the logged stages and actions.
     num_landmarks
-        m, at most; fewer serve where they explain all rows.
+        Upper bound of m; fewer are used if they explain all rows.
     gamma
         γ on scaled features; None for 1/F.
     rng
-        Draws the landmarks.
+        Generator that draws the landmarks.
     trend
-        Root mean squares, over rows, of the part of c · q(z) that is linear and of that of the products, beside a
-        Gaussian kernel of 1; None for no trend. So the more products there are, the less each counts.
+        Root mean squares, over rows, of the linear part and of the products in c · q(z), relative to a Gaussian kernel
+        of 1; None for no trend. So the more products there are, the less each counts.
     """
     centre, spread = rows.mean(axis=0), rows.std(axis=0)
     scale = np.where(spread > 1e-9 * np.maximum(np.abs(centre), 1e-9), spread, np.inf)
@@ -113,7 +113,7 @@ def fit_kernel_map(
 
 
 REGS = np.logspace(-3, 2, 11)
-"""The λ that ``reg="cv"`` chooses from; features are scaled to unit variance, so they need no other unit."""
+"""The λ that ``reg="cv"`` chooses from; features are scaled to unit variance, so this grid suits all units."""
 
 KERNEL_REGS = np.logspace(-6, 1, 15)
 """The same for the norm of an RKHS."""
@@ -127,34 +127,34 @@ def _is_number(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class LinearQ:
-    """Q is linear in its features; λ weighs them as if each had unit variance."""
+    """Q is linear in its features; λ penalises them as if each had unit variance."""
 
     name = "linear"
     regs = REGS
     is_scaled = True
 
     def features(self, rows: Float[np.ndarray, "k F"], random_state: int) -> None:
-        """Features stay as they are."""
+        """Leave features unchanged."""
 
     def num_features(self, num_inputs: int) -> int:
-        """Count the features that a Q of so many inputs has, at most."""
+        """Largest number of features of a Q with this many inputs."""
         return num_inputs
 
 
 @dataclass(frozen=True)
 class QuadraticQ:
-    """Q is linear in its features and in the products of each two; λ weighs all as if each had unit variance."""
+    """Q is linear in its features and their pairwise products; λ penalises all as if each had unit variance."""
 
     name = "quadratic"
     regs = REGS
     is_scaled = True
 
     def features(self, rows: Float[np.ndarray, "k F"], random_state: int) -> KernelMap:
-        """Find mean and variance of the completed stages; nothing is drawn."""
+        """Compute mean and variance of the completed stages; nothing is random."""
         return fit_kernel_map(rows, 0, None, np.random.default_rng(random_state), trend=(1.0, 1.0))
 
     def num_features(self, num_inputs: int) -> int:
-        """Count them and their products."""
+        """Number of features and their products."""
         return num_inputs + num_inputs * (num_inputs + 1) // 2
 
 
@@ -162,18 +162,18 @@ class QuadraticQ:
 class KernelQ:
     """Q is in the RKHS of a Gaussian kernel exp(−γ‖x − z‖²) on features of unit variance.
 
-    With a trend it is the sum of a quadratic and of such a function: where a quadratic does, λ leaves little of the
-    rest, and where it does not, the rest mends it.
+    With a trend it is the sum of a quadratic and such a function: if a quadratic fits, λ leaves little of the rest; if
+    it does not, the rest corrects it.
 
     Parameters
     ----------
     num_landmarks
-        Rows whose span Q lies in, at most; with as many as there are different rows, it is exact.
+        Largest number of rows that span Q; with as many as distinct rows, Q is exact.
     gamma
         γ; None for 1/F.
     trend
-        Root mean squares of the features of the quadratic, of its linear part and of its products, where those of the
-        Gaussian kernel have 1; None for none.
+        Root mean squares of the linear part and of the products of the quadratic, relative to 1 for the Gaussian
+        kernel; None for no trend.
 
     Raises
     ------
@@ -198,7 +198,7 @@ class KernelQ:
 
     @property
     def name(self) -> str:
-        """What kind it is."""
+        """The kind of 𝒬."""
         return "kernel" if self.trend is None else "smooth"
 
     def features(self, rows: Float[np.ndarray, "k F"], random_state: int) -> KernelMap:
@@ -207,13 +207,13 @@ class KernelQ:
         return fit_kernel_map(rows, self.num_landmarks, self.gamma, rng, self.trend)
 
     def num_features(self, num_inputs: int) -> int:
-        """Count landmarks and what the trend has."""
+        """Number of landmarks and trend features."""
         return self.num_landmarks + (0 if self.trend is None else QuadraticQ().num_features(num_inputs))
 
 
 @dataclass(frozen=True)
 class TabularQ(LinearQ):
-    """Q has a value for each action in each state, of a state that one column names (`tabular`)."""
+    """Q has one value per action and state, the state named by one column (`tabular`)."""
 
     name = "tabular"
 
@@ -221,8 +221,8 @@ class TabularQ(LinearQ):
 QSpace = LinearQ | QuadraticQ | KernelQ
 
 SMOOTH = KernelQ(num_landmarks=48, trend=(3.0, 1.5))
-"""A quadratic and a smooth remainder. Its numbers were chosen on logs of the pick cell, of kin of the clinical trial
-and of a world of 20 covariates, all of seeds below 1000; `benchmarks/learners.py` judges by others."""
+"""A quadratic and a smooth remainder. Its numbers were chosen on logs of the pick cell, of variants of the clinical
+trial and of a world of 20 covariates, all with seeds below 1000; `benchmarks/learners.py` evaluates on others."""
 
 Q_SPACES: dict[str, QSpace] = {space.name: space for space in (LinearQ(), QuadraticQ(), KernelQ(), SMOOTH, TabularQ())}
 
@@ -245,11 +245,11 @@ class CrossValidation:
 
 
 Reg = CrossValidation | float
-"""How λ is chosen, or λ ≥ 0."""
+"""How λ is chosen, or a fixed λ ≥ 0."""
 
 
 def q_space_of(q_function: QSpace | Literal["linear", "quadratic", "kernel", "smooth", "tabular"] | str) -> QSpace:
-    """Read what a user says of 𝒬, a name or the space itself, or refuse it."""
+    """Parse a user's 𝒬, given by name or as the space itself; refuse an invalid one."""
     if isinstance(q_function, str) and q_function in Q_SPACES:
         return Q_SPACES[q_function]
     if not isinstance(q_function, QSpace):
@@ -261,14 +261,14 @@ def q_space_of(q_function: QSpace | Literal["linear", "quadratic", "kernel", "sm
 
 
 def stage_mode_of(stages: StageMode | str) -> StageMode:
-    """Read what a user says of stages, or refuse it."""
+    """Parse a user's stage mode; refuse an invalid one."""
     if stages == "separate" or stages == "pooled":
         return stages
     raise ArgumentError(f"stages is {stages!r}; it is 'separate' or 'pooled'")
 
 
 def reg_of(reg: Reg | int | Literal["cv"] | str) -> Reg:
-    """Read what a user says of λ, ``"cv"``, a `CrossValidation`, or a number, or refuse it."""
+    """Parse a user's λ: ``"cv"``, a `CrossValidation` or a number; refuse an invalid one."""
     if isinstance(reg, CrossValidation):
         return reg
     if isinstance(reg, str) and reg == "cv":
@@ -279,14 +279,14 @@ def reg_of(reg: Reg | int | Literal["cv"] | str) -> Reg:
 
 
 def pessimism_of(pessimism: float | int | str) -> float:
-    """Read what a user says of pessimism, or refuse it."""
+    """Parse a user's pessimism; refuse an invalid one."""
     if not (_is_number(pessimism) and float(pessimism) >= 0.0):
         raise ArgumentError(f"pessimism is {pessimism!r}; it is a number of standard errors ≥ 0, or 'auto'")
     return float(pessimism)
 
 
 def half_life_of(value: float | int | str | None) -> float | str | None:
-    """Read what a user says of a half-life [trajectories], or refuse it."""
+    """Parse a user's half-life [trajectories]; refuse an invalid one."""
     if value is None or value == "auto":
         return value
     if isinstance(value, str | bool) or not 0 < value < np.inf:

@@ -2,29 +2,30 @@
 
     Q̂_{T+1} ≡ 0;  Q̂_t = argmin E_n[ (R_t + max_a' Q̂_{t+1}(S_{t+1}, a') − Q_t(S_t, A_t))² · δ_t / Ĝ(U_t⁻) ]
 
-A linear Q is α_k + β_kᵀ φ(S, a) with k the block of the action, fitted by `ridge`. All runs on sums over rows (`sums`),
-so a log in memory is one part, and one that does not fit there is many (`passes`).
+A linear Q is α_k + β_kᵀ φ(S, a) with k the block of the action, fitted by `ridge`. Every fit runs on sums over rows
+(`sums`), so a log in memory is one part, and a log that does not fit in memory is many (`passes`).
 
 *Separate* stages: each stage has its own Q_t, fitted on its own rows and shrunk towards 0.
 
 *Pooled* stages, for worlds whose dynamics do not depend on t: Q_h is indexed by the steps to go, h = 1..T, and fitted
-on the rows of all stages; a row that the horizon ended says nothing of a longer future, so it serves Q_1 alone. One
-more step to go changes little, so Q_h is shrunk towards Q_{h−1}. With λ = 0 nothing is shrunk, and eq. 3 is exact.
+on the rows of all stages. A row that the horizon ended carries no information about a longer future, so it is used for
+Q_1 only. One more step to go changes little, so Q_h is shrunk towards Q_{h−1}. With λ = 0 nothing is shrunk, and eq. 3
+is exact.
 
-*Partial pooling* [GelmanHill2007]_: what all actions share says most of a state's value, and few rows say what one
-action adds. So Q may be the sum of what is fitted to the rows of all blocks as if they were one, and of how far each
-block lies from it, its mean among that, which is shrunk towards that of one step less to go. λ of the blocks is then
-chosen for all of them together.
+*Partial pooling* [GelmanHill2007]_: a state's value is mostly shared by all actions, and few rows show what one action
+adds. So Q may be the sum of a common fit to the rows of all blocks, and of the deviation of each block from it,
+including its mean, which is shrunk towards the deviation at one step less to go. λ of the blocks is then chosen
+jointly.
 
-*Control variates* [Glasserman2003]_ are numbers that S_{t+1} tells and whose mean given (S_t, A_t) is 0.
-Each regression runs on them too, and Q leaves them out: what they explain of the target is noise that Q is spared.
+*Control variates* [Glasserman2003]_ are functions of S_{t+1} whose mean given (S_t, A_t) is 0. Each regression includes
+them, and Q omits them: what they explain of the target is noise that Q avoids.
 
-Where a policy is *given*, the maximum gives way to Σ_a π(a | S_{t+1}) Q̂_{t+1}(S_{t+1}, a): Q̂ is then that of the
-policy (fitted Q evaluation), and nothing is chosen.
+If a policy is *given*, Σ_a π(a | S_{t+1}) Q̂_{t+1}(S_{t+1}, a) replaces the maximum: Q̂ is then that of the policy
+(fitted Q evaluation).
 
-Where targets are *imputed*, the stage in which a trajectory was right-censored has one, too; see `imputation`.
+If targets are *imputed*, the stage in which a trajectory was right-censored has one, too; see `imputation`.
 
-*Pessimism*: V̂ is the largest lower confidence bound. Imputed targets of cut stages count as nothing seen.
+*Pessimism*: V̂ is the largest lower confidence bound. Imputed targets of cut stages do not count as observations.
 """
 
 from collections.abc import Callable, Sequence
@@ -60,14 +61,14 @@ from halfseen.shapes import Float
 
 
 class QFunctions(NamedTuple):
-    """Q of every stage (separate) or of every number of steps to go (pooled); index 0 is stage 1, or one step to go."""
+    """Q of every stage (separate) or number of steps to go (pooled); index 0 is stage 1, or one step to go."""
 
     coefficients: Float[np.ndarray, "*B T K F"]
-    """The offset first."""
+    """The intercept first."""
     reg: Float[np.ndarray, "*B T K"]
-    """The λ that was used."""
+    """The λ used."""
     outcome: Float[np.ndarray, "*B T K M"] | None = None
-    """Where targets are imputed, the regression of X on the features that it uses and the terms, the offset first."""
+    """For imputed targets, the regression of X on the features that it uses and the terms, the intercept first."""
     root: Float[np.ndarray, "*B T K F F"] | None = None
     """With pessimism, R: the standard error of Q is ‖Rᵀ (1, φ)‖."""
 
@@ -80,35 +81,35 @@ def stack_q(each: Sequence[QFunctions]) -> QFunctions:
 
 
 SHRUNK_MEANS = 0.05
-"""What of λ weighs how far the mean of a block lies from what all blocks have in common."""
+"""Fraction of λ that penalises the deviation of a block's mean from the common fit."""
 
 
 class Step(NamedTuple):
     """One backward step."""
 
     slices: tuple[int, ...]
-    """Those that are fitted."""
+    """The slices of rows fitted."""
     successor: Successor | None = None
-    """None where nothing follows."""
+    """None at the last step."""
     centre: Float[np.ndarray, "K F"] | None = None
-    """What coefficients are shrunk towards, those of control variates among them; None for 0."""
+    """Coefficients to shrink towards, including those of control variates; None for 0."""
     new: tuple[int, ...] = ()
-    """Slices whose moments nobody has summed so far."""
+    """Slices whose moments have not been summed yet."""
 
 
 class StepSums(NamedTuple):
     """Sums of rows for one step."""
 
     moments: tuple[Moments, ...]
-    """Of the slices that are new."""
+    """Of the new slices."""
     crosses: Crosses
     columns: Columns
     norms: Norms | None = None
-    """For the next step, where it looks at the same states."""
+    """For the next step, if it uses the same states."""
 
 
 def sums_of_step(rows: Rows, step: Step, regression: Regression, norms: Norms | None = None) -> StepSums:
-    """Sum up rows for one step, given norms of an earlier one."""
+    """Sum rows for one step, given norms of an earlier one."""
     values, norms = values_of(rows, step.successor, norms if regression.stages == "pooled" else None)
     moments = tuple(moments_of(rows, which, regression) for which in step.new)
     return StepSums(moments, crosses_of(rows, step.slices, values, regression), rows.columns, norms)
@@ -120,13 +121,13 @@ def fit_q(log: Transitions, regression: Regression) -> QFunctions:
     Raises
     ------
     ArgumentError
-        A trajectory is in a fold that does not exist, and would count for nothing.
+        A trajectory is in a fold that does not exist, so it would be ignored.
     """
     return backward(_in_memory(log, regression), log.action.shape, regression)
 
 
 def fit_each_stage(log: Transitions, regression: Regression) -> QFunctions:
-    """Fit Q of each stage to its rewards alone: nothing follows."""
+    """Fit Q of each stage to its rewards alone, with no successor."""
     separate = regression._replace(stages="separate")
     steps = _Steps(_in_memory(log, separate), len(log.action), separate)
     return stack_q([steps.fit(Step((stage,)))[0] for stage in range(log.action.shape[1])])
@@ -168,7 +169,7 @@ def backward(ask: Callable[[Step], StepSums], shape: tuple[int, int], regression
 
 
 def _separate(steps: "_Steps", horizon: int) -> list[QFunctions]:
-    """Each stage on its own rows, the last one first."""
+    """Fit each stage on its own rows, the last one first."""
     fits, successor = [], None
     for stage in reversed(range(horizon)):
         q, _, errors = steps.fit(Step((stage,), successor))
@@ -178,7 +179,7 @@ def _separate(steps: "_Steps", horizon: int) -> list[QFunctions]:
 
 
 def _pooled(steps: "_Steps", horizon: int) -> list[QFunctions]:
-    """All stages' rows at each number of steps to go: none, if the horizon forces an action, then one."""
+    """Fit all stages' rows for each number of steps to go, from 0 if the horizon forces an action, else from 1."""
     every, end_action = (GOING_ON, ENDED), steps.regression.end_action
     step = Step(every)
     if end_action is not None:
@@ -200,7 +201,7 @@ class _Equations(NamedTuple):
     moments: Moments
     main: Ridge
     common: Ridge | None
-    """Of all blocks as if they were one."""
+    """Of all blocks as one."""
     outcome: Ridge | None
     """Of X, where targets are imputed."""
     seen: Ridge | None
@@ -208,7 +209,7 @@ class _Equations(NamedTuple):
 
 
 class _Steps:
-    """One backward step after the other."""
+    """The backward steps, one after the other."""
 
     def __init__(self, ask: Callable[[Step], StepSums], num_trajectories: int, regression: Regression) -> None:
         self.regression, self._ask, self._num_trajectories = regression, ask, num_trajectories
@@ -218,7 +219,7 @@ class _Steps:
         self._offset = SHRUNK_MEANS if regression.is_partially_pooled else 0.0
 
     def fit(self, step: Step) -> tuple[QFunctions, Float[np.ndarray, "K F"], Errors | None]:
-        """Fit Q of one step; with its coefficients and, last, those of control variates; and how far it is lowered."""
+        """Fit Q of one step; also return all coefficients, control variates last, and the errors for pessimism."""
         new = tuple(which for which in step.slices if which not in self._moments)
         sums = self._ask(step._replace(new=new))
         if self.regression.stages == "separate":
@@ -282,7 +283,7 @@ class _Steps:
         cross: Float[np.ndarray, "V K F"],
         centre: Float[np.ndarray, "K F"] | None,
     ) -> Float[np.ndarray, "K F"]:
-        """What blocks have in common now, and how far each lay from it in the step before."""
+        """The common fit of all blocks now, plus the deviation of each block in the step before."""
         of_all, together, before = gram.sum(axis=1, keepdims=True), cross.sum(axis=1, keepdims=True), self._common
         self._common, _ = _around(equations, of_all, together, None if centre is None else before)
         apart = np.zeros(cross.shape[1:]) if centre is None else centre - before
@@ -296,7 +297,7 @@ def _around(
     centre: Float[np.ndarray, "K F"] | None,
     is_joint: bool = False,
 ) -> tuple[Float[np.ndarray, "K F"], Float[np.ndarray, " K"]]:
-    """Regress, shrunk towards a centre; None for the mean, so that a constant in all rewards changes no λ."""
+    """Regress, shrunk towards a centre; None for the mean, so that a constant in all rewards does not affect λ."""
     if centre is None:
         mass = gram[..., 0, 0].sum(axis=0)
         centre = np.zeros(cross.shape[1:])
@@ -315,7 +316,7 @@ def _of_outcome(columns: Columns) -> tuple[np.ndarray, Float[np.ndarray, " M"]]:
 def _of_imputed(
     moments: Float[np.ndarray, "4 V K M M"], columns: Columns, outcome: Float[np.ndarray, "K O"]
 ) -> Float[np.ndarray, "V K F"]:
-    """Σ w x Y − Σ w x share·X: what the regression of X adds to targets, by the state and by the time."""
+    """Σ w x Y − Σ w x share·X: the contribution of the regression of X to the targets, from state and time."""
     num_features, design = columns.num_features, slice(columns.num_design)
     of_state = (moments[WHOLE] - moments[SHARE])[..., design, :num_features]
     of_time = moments[WHOLE][..., design, columns.num_design + columns.num_terms :]

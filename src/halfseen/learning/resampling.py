@@ -1,7 +1,7 @@
-"""How much what was learned hangs on which trajectories happened to be logged: the bootstrap [Efron1979]_.
+"""Sampling variability of a learned policy, by the bootstrap over trajectories [Efron1979]_.
 
-Trajectories are resampled from the log with replacement. Ĝ, the weights and, where targets are imputed, the durations
-are estimated again from each such draw, and Q is fitted to it as it was to the log; features and λ's grid stay.
+Trajectories are resampled from the log with replacement. For each draw Ĝ, the weights and, if targets are imputed, the
+durations are estimated again, and Q is fitted as it was to the log; features and the grid of λ stay.
 """
 
 from contextlib import nullcontext
@@ -31,14 +31,14 @@ BATCH_SIZE = 10
 
 @dataclass(frozen=True, eq=False)
 class QBootstrap:
-    """What was learned, and what would have been learned from trajectories resampled.
+    """A learned policy and its bootstrap replicates.
 
     Parameters
     ----------
     policy
-        What was learned.
+        The learned policy.
     replicates
-        The same for each draw; its coefficients have a leading axis of B.
+        The policies of the draws; the coefficients have a leading axis of B.
     """
 
     policy: Any
@@ -47,12 +47,12 @@ class QBootstrap:
     def q_interval(
         self, frame: pd.DataFrame, stage: int, level: float = 0.95
     ) -> tuple[Float[np.ndarray, "m A"], Float[np.ndarray, "m A"]]:
-        """Central interval of Q for each row of covariates and action; named actions only.
+        """Central interval of Q for each row of covariates and action; for named actions only.
 
         Raises
         ------
         ArgumentError
-            `level` is not between 0 and 1, or this is no policy of named actions.
+            `level` is not between 0 and 1, or the policy is not one of named actions.
         """
         if not 0.0 < level < 1.0:
             raise ArgumentError(f"level is {level}; it lies between 0 and 1")
@@ -61,7 +61,7 @@ class QBootstrap:
         return low, high
 
     def decision_shares(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
-        """Share of the draws in which each action is the best possible one; named actions only."""
+        """Share of the draws in which each action is the best possible one; for named actions only."""
         possible = np.where(self._flat.is_possible[stage - 1], self._draws(frame, stage), -np.inf)
         best = np.argmax(possible, axis=-1)
         return (best[..., None] == np.arange(possible.shape[-1])).mean(axis=0)
@@ -93,22 +93,22 @@ def bootstrap(
     Parameters
     ----------
     learner
-        Fitted to `logs`.
+        A learner fitted to `logs`.
     logs
-        The log that it was fitted to.
+        The log.
     num_replicates
-        B, draws of as many trajectories as the log has.
+        B, number of draws, each of as many trajectories as the log has.
     random_state
         Seed of the draws.
     is_quiet
-        Shows no progress; else a bar, where the output is a terminal.
+        Show no progress; otherwise a bar is shown if the output is a terminal.
     workers
-        Who learns again; they begin once some draws take long. What comes out is the same.
+        Workers for the fits; used once draws take long. The result is the same.
 
     Raises
     ------
     ArgumentError
-        The learner has not been fitted to this log, or `num_replicates` is below 2.
+        The learner was not fitted to this log, or `num_replicates` is below 2.
     """
     if num_replicates < 2:
         raise ArgumentError(f"num_replicates is {num_replicates}; at least 2 are needed")
@@ -141,7 +141,7 @@ def bootstrap(
 def _learned_again(
     model: QModel, trajectories: TrajectoryArrays, log: Transitions, counts: Int[np.ndarray, "B n"]
 ) -> list[QFunctions]:
-    """Learn from some draws, in which each trajectory counts so often; one that was not drawn counts for nothing."""
+    """Learn from some draws, given how often each trajectory was drawn; 0 gives it no weight."""
     regression = replace(model, pessimism=0.0).regression(*log.is_possible.shape[::2])
     fits = []
     for each in counts:
@@ -161,7 +161,7 @@ def _learned_again(
 
 
 def _spread(counts: Int[np.ndarray, " n"], leaf: np.ndarray) -> np.ndarray:
-    """Of each trajectory what its first copy has; 0 where it was not drawn."""
+    """For each trajectory the values of its first copy; 0 if it was not drawn."""
     first, was_drawn = np.cumsum(counts) - counts, counts > 0
     spread = np.zeros((len(counts), *leaf.shape[1:]))
     spread[was_drawn] = leaf[first[was_drawn]]

@@ -4,22 +4,22 @@ For each block (a verb, or an action)
 
     minimise over α, β:  λ ‖β‖² + (1/n) Σ_rows w · (y − α − xᵀβ)²,
 
-with n the number of *trajectories*, x scaled to unit weighted variance in its block, and the offset α left free. In an
-RKHS, where x are features of the kernel, x keeps its scale, and ‖β‖² is the norm of the function.
+with n the number of *trajectories*, x scaled to unit weighted variance in its block, and an unpenalised intercept α. In
+an RKHS, x are features of the kernel and keep their scale, and ‖β‖² is the norm of the function.
 
-With the centred and scaled Gram matrix U diag(e) Uᵀ, N the weight and S = diag(1/scale) U, the *basis*
+With U diag(e) Uᵀ the centred and scaled Gram matrix, N the total weight and S = diag(1/scale) U, the *basis*
 
     B = [[1, −meanᵀ S], [0, S]]    has    Bᵀ (Σ w (1, x)(1, x)ᵀ) B = diag(N, e),
 
 so that (α, β) = B diag(1/N, 1/(e + nλ)) Bᵀ Σ w (1, x) y for every λ and every target. Held-out errors follow from the
-sums by fold: to try all λ costs no second pass over the rows.
+sums by fold, so trying all λ needs no second pass over the rows.
 
 *Standard errors.* With σ² the variance of the targets about Q̂,
 
     s²(x) = σ² (1/N + zᵀ (C + nλ I)⁻¹ z) = σ² ‖diag(1/N, 1/(e + nλ))^½ Bᵀ (1, x)‖²,    z = (x − mean) / scale,
 
-C the centred and scaled Gram matrix: the variance of a ridge regression read as Bayes does (in an RKHS, of a Gaussian
-process), so that it grows where no completed stage is near [AbbasiYadkori2011]_ [JinYangWang2021]_.
+with C the centred and scaled Gram matrix. This is the posterior variance of Bayesian ridge regression (in an RKHS, of a
+Gaussian process), so it grows where no completed stage is near [AbbasiYadkori2011]_ [JinYangWang2021]_.
 """
 
 from typing import NamedTuple
@@ -29,16 +29,16 @@ import numpy as np
 from halfseen.shapes import Float, Int
 
 RANK_TOLERANCE = 1e-11
-"""Eigenvalues below this share of the largest count as zero: that direction was never seen, and β is 0 along it."""
+"""Eigenvalues below this share of the largest count as zero: that direction was not observed, and β is 0 along it."""
 
 TIE_TOLERANCE = 1e-9
-"""Held-out errors that differ by less than this share of the largest are equal."""
+"""Held-out errors that differ by less than this share of the largest count as equal."""
 
 _TINY = np.finfo(np.float64).tiny
 
 
 class Ridge(NamedTuple):
-    """Normal equations by block: they depend on the Gram matrices alone, so they serve every target."""
+    """Normal equations by block; they depend on the Gram matrices alone, so they serve every target."""
 
     regs: Float[np.ndarray, " L"]
     basis: Float[np.ndarray, "V1 K F F"]
@@ -46,9 +46,9 @@ class Ridge(NamedTuple):
     values: Float[np.ndarray, "V1 K F"]
     """N, and e."""
     shrink: Float[np.ndarray, "L V1 K F"]
-    """1/N and 1/(e + nλ) by each λ; 0 along what was never seen."""
+    """1/N and 1/(e + nλ) for each λ; 0 along directions that were not observed."""
     held_out: Float[np.ndarray, "V0 K F F"]
-    """Bᵀ (Σ w x xᵀ) B of the rows of each fold, B being without it; none without folds."""
+    """Bᵀ (Σ w x xᵀ) B of the rows of each fold, with B fitted without it; empty without folds."""
 
 
 def ridge_of(
@@ -63,15 +63,15 @@ def ridge_of(
     Parameters
     ----------
     gram
-        Σ w x xᵀ by fold and block; the first of x is 1.
+        Σ w x xᵀ by fold and block; the first entry of x is 1.
     regs
         The λ to choose from, increasing.
     num_trajectories
         n.
     is_scaled
-        Whether λ weighs features as if each had unit variance.
+        Whether λ penalises features as if each had unit variance.
     offset
-        What of λ weighs the mean of a block; 0 leaves it free.
+        Fraction of λ that penalises the mean of a block; 0 leaves it free.
     """
     basis, values = _diagonalised(gram, is_scaled)
     num_held_out = len(basis) - 1
@@ -99,7 +99,7 @@ def _diagonalised(
     of_all = np.maximum(total[:, :1, 0], _TINY)
     scale = np.sqrt(np.where(is_varied, variance / of_all if is_scaled else 1.0, np.inf))
     scaled = centred / (scale[:, :, None] * scale[:, None, :])
-    # LAPACK takes no empty matrix, and a Q without covariates has one.
+    # LAPACK does not accept empty matrices, which a Q without covariates has.
     spread, vectors = np.linalg.eigh(scaled) if scaled.size else (scaled.sum(axis=-1), scaled)
     basis = np.zeros_like(train)
     basis[..., 0, 0] = 1.0
@@ -109,10 +109,10 @@ def _diagonalised(
 
 
 def with_prior(gram: Float[np.ndarray, "V K F F"], num_last: int) -> Float[np.ndarray, "V K F F"]:
-    """Let each of the last features count as seen once, at 1 and alone, with nothing to explain.
+    """Add one pseudo-observation for each of the last features, with value 1, all others 0 and target 0.
 
-    So its coefficient is shrunk towards 0 as far as one row would, and a feature that was hardly ever seen, or never
-    far from 0, has no coefficient out of all proportion.
+    It shrinks each coefficient towards 0 as much as one row would, so a feature that was rarely observed, or always
+    near 0, has no extreme coefficient.
     """
     num_folds, _, _, num_features = gram.shape
     is_last = np.arange(num_features) >= num_features - num_last
@@ -122,16 +122,16 @@ def with_prior(gram: Float[np.ndarray, "V K F F"], num_last: int) -> Float[np.nd
 def solve(
     ridge: Ridge, cross: Float[np.ndarray, "V K F"], is_joint: bool = False
 ) -> tuple[Float[np.ndarray, "K F"], Float[np.ndarray, " K"]]:
-    """Regress on the rows of the normal equations, given Σ w x y: coefficients, the offset first, and the λ of each.
+    """Regress on the rows of the normal equations, given Σ w x y; return coefficients, the intercept first, and each λ.
 
-    The best held-out λ serves each block, or all of them jointly; where several serve equally well, as in a block too
-    small to tell, the last.
+    The λ with the smallest held-out error is chosen for each block, or jointly for all; of equally good ones, as in a
+    block that is too small to distinguish them, the last.
     """
     num_blocks, num_held_out, best = cross.shape[1], len(ridge.held_out), 0
     transposed, train = np.swapaxes(ridge.basis, -1, -2), _leave_one_out(cross)
     along = ridge.shrink * np.matmul(transposed, train[..., None])[..., 0]
     if len(ridge.regs) > 1:
-        # Σ w (y − xᵀβ)² − Σ w y², which no λ changes, over all folds.
+        # Σ w (y − xᵀβ)² over all folds, up to Σ w y², which does not depend on λ.
         tried = np.ascontiguousarray(along[:, :num_held_out].transpose(1, 2, 3, 0))
         of_cross = np.matmul(transposed[:num_held_out], cross[:num_held_out, ..., None])
         errors = (tried * (ridge.held_out @ tried - 2.0 * of_cross)).sum(axis=(0, 2)).T
@@ -142,7 +142,7 @@ def solve(
 
 
 def _last_smallest(errors: Float[np.ndarray, "L K"]) -> Int[np.ndarray, " K"]:
-    # Equal errors differ by rounding, and that must not choose.
+    # Equal errors differ by rounding, which must not affect the choice.
     is_smallest = errors <= errors.min(axis=0) + TIE_TOLERANCE * np.abs(errors).max(axis=0)
     return len(errors) - 1 - np.argmax(is_smallest[::-1], axis=0)
 
@@ -154,7 +154,7 @@ def _leave_one_out(sums: Float[np.ndarray, " V *S"]) -> Float[np.ndarray, " V1 *
 
 
 class Errors(NamedTuple):
-    """Standard errors of a fit: that of xᵀβ is ‖Rᵀ x‖ · deviation, R the root of each block."""
+    """Standard errors of a fit: that of xᵀβ is ‖Rᵀ x‖ · deviation, with R the root of each block."""
 
     root: Float[np.ndarray, "K F F"]
     deviation: Float[np.ndarray, " K"]
@@ -167,20 +167,20 @@ def standard_errors(
     counts: Float[np.ndarray, "3 K"],
     offset: float = 0.0,
 ) -> Errors:
-    """Tell how well a fit is known.
+    """Compute the standard errors of a fit.
 
-    As many rows as there are coefficients that λ leaves are used up by the fit.
+    The degrees of freedom are the number of rows minus the effective number of coefficients.
 
     Parameters
     ----------
     ridge
-        Of the rows that were seen, without folds.
+        Of the observed rows, without folds.
     penalty
         nλ of each block.
     squares
         Σ w (y − xᵀβ)².
     counts
-        Σw; Σw², as heavy weights make of many rows few; and the number of rows with a weight.
+        Σw; Σw², for the effective number of rows; and the number of rows with positive weight.
     offset
         As for `ridge_of`.
     """

@@ -1,12 +1,10 @@
-"""From a log to the transitions of eq. 3: dense arrays, one row a trajectory, padded to T stages.
+"""From a log to the transitions of eq. 3: dense arrays, one row per trajectory, padded to T stages.
 
-`TrajectoryArrays` hold a log as it is. `Transitions` add what each stage weighs and what its target is; `sums` packs
-them.
+`TrajectoryArrays` hold a log as it is. `Transitions` add the weight and the target of each stage; `sums` packs them.
 
-What a log has seen completed: an action of which it never saw a completed stage has no value, which is not 0.
-
-Such an action is impossible for the maximum in eq. 3 and for the policy. Only where a state allows nothing that was
-seen do all actions stay that it allows (`behaviour.seen_among`).
+Support: an action without a completed stage in the log has no value, which is not the value 0. It is impossible for the
+maximum in eq. 3 and for the policy. Only where a state allows no supported action do all its actions remain
+(`behaviour.seen_among`).
 """
 
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -25,21 +23,21 @@ from halfseen.shapes import Bool, Float, Int
 if TYPE_CHECKING:
     from halfseen.logs import Logs
 else:
-    Logs = Any  # What a policy needs of this module loads no log.
+    Logs = Any  # Policies need parts of this module but load no log.
 
 
 class TrajectoryArrays(NamedTuple):
-    """Trajectories and their stages; what a trajectory has no stage for holds 0, False or NaN."""
+    """Trajectories and their stages; 0, False or NaN where a trajectory has no stage."""
 
     clocks: StageClocks
-    """When each stage began and ended, who was cut, and what cuts may depend on."""
+    """Beginning and end of each stage, the cuts, and their covariates."""
     encoded: Encoded
     has_action: Bool[np.ndarray, "n T"]
-    """Stages whose action is known; that of the stage in which a trajectory was cut need not be."""
+    """Stages whose action is known; it may be unknown in the stage in which a trajectory was cut."""
     probability: Float[np.ndarray, "n T"]
-    """Of the logged action under the logging policy; NaN where it was not logged."""
+    """Of the logged action under the logging policy; NaN if it was not logged."""
     reward: Float[np.ndarray, "n T"]
-    """0 where not completed."""
+    """0 if not completed."""
 
     @property
     def num_trajectories(self) -> int:
@@ -58,7 +56,7 @@ class TrajectoryArrays(NamedTuple):
 
     @property
     def is_possible(self) -> Bool[np.ndarray, "n T A"]:
-        """Which actions each state allows."""
+        """The possible actions of each state."""
         return self.encoded.is_possible
 
     @property
@@ -68,7 +66,7 @@ class TrajectoryArrays(NamedTuple):
 
     @property
     def is_begun(self) -> Bool[np.ndarray, "n T"]:
-        """Stages whose S_t was seen."""
+        """Stages whose S_t was observed."""
         return self.clocks.is_begun
 
     @property
@@ -78,17 +76,17 @@ class TrajectoryArrays(NamedTuple):
 
     @property
     def is_last(self) -> Bool[np.ndarray, "n T"]:
-        """Completed stages after which a trajectory had come to its own end."""
+        """Completed stages with which a trajectory finished."""
         return self.clocks.is_last
 
     def take(self, rows: Int[np.ndarray, " k"] | slice) -> "TrajectoryArrays":
-        """Keep these trajectories, which may repeat, in this order; a slice of them copies nothing."""
+        """Select trajectories, with repetition and in this order; a slice is a view."""
         rest: Any = mapped(lambda leaf: leaf[rows], tuple(self[1:]))
         return TrajectoryArrays(self.clocks.take(rows), *rest)
 
 
 def trajectory_arrays(logs: Logs, encoded: Encoded, covariates: Frame | None) -> TrajectoryArrays:
-    """Lay out a log, given its features and actions, padded to T, and what cuts may depend on, a row a stage."""
+    """Arrange a log as arrays padded to T, given its features and actions, and the covariates of cuts by stage."""
     horizon = encoded.action.shape[1]
     at = stage_places(logs)
 
@@ -129,49 +127,49 @@ def stage_places(logs: Logs) -> tuple[Int[np.ndarray, " rows"], Int[np.ndarray, 
 
 
 class Imputation(NamedTuple):
-    """How a begun stage gets a target Y whether or not its end was seen (see the module `imputation`).
+    """How a stage that began gets a target Y even if its end was not observed (see the module `imputation`).
 
-    With X = R_t + V̂(S_{t+1}) and its regression α + βᵀφ + γᵀg on the completed stages, g terms of the duration,
+    With X = R_t + V̂(S_{t+1}), its regression α + βᵀφ + γᵀg on the completed stages, and g terms of the duration,
 
         Y = share·X + (1 − share)·(α + βᵀφ) + γᵀexpected.
     """
 
     share: Float[np.ndarray, "n T"]
-    """Of X; 0 where the stage was not completed."""
+    """Of X; 0 if the stage was not completed."""
     terms: Float[np.ndarray, "n T G"]
     """g of each completed stage."""
     expected: Float[np.ndarray, "n T G"]
-    """What stands for g·(1 − share)."""
+    """Replaces g·(1 − share)."""
     outcome_weight: Float[np.ndarray, "n T"]
-    """Weight of each stage in the regression of X: 0 where cut; where completed δ/K̂, truncated, or 1 without K̂."""
+    """Weight of each stage in the regression of X: 0 if cut; if completed, δ/K̂, truncated, or 1 without K̂."""
     is_used: Float[np.ndarray, " F"]
-    """1 for each feature that this regression looks at, 0 for the others."""
+    """1 for each feature that this regression uses, 0 for the others."""
 
 
 class Transitions(NamedTuple):
     """One log as dense arrays, padded to T stages."""
 
     features: Float[np.ndarray, "n T E F"]
-    """φ(S_t, a) of every action, without the constant; zeros where S_t was not seen. E is A, or 1 where all actions
+    """φ(S_t, a) of every action, without the constant; zeros where S_t was not observed. E is A, or 1 if all actions
     have the same features."""
     is_possible: Bool[np.ndarray, "n T A"]
     action: Int[np.ndarray, "n T"]
     reward: Float[np.ndarray, "n T"]
-    """0 where not completed."""
+    """0 if not completed."""
     weight: Float[np.ndarray, "n T"]
-    """δ_t / Ĝ(U_t⁻): 0 where the stage was not completed. Where targets are imputed, that of a begun stage."""
+    """δ_t / Ĝ(U_t⁻): 0 if the stage was not completed. For imputed targets, the weight of a stage that began."""
     is_last: Bool[np.ndarray, "n T"]
-    """Completed stages after which the trajectory had come to its own end."""
+    """Completed stages with which the trajectory finished."""
     fold: Int[np.ndarray, " n"]
     """Fold of each trajectory for cross-validation, from 0, below the number of folds."""
     control_variates: Float[np.ndarray, "n T Z"] | None = None
-    """Of mean 0 given (S_t, A_t), if any are known; what they hold at a trajectory's end does not count."""
+    """Of mean 0 given (S_t, A_t), if any are known; values at the last stage of a finished trajectory are ignored."""
     policy: Float[np.ndarray, "n T A"] | None = None
-    """π(a | S_t), where Q of a given policy is wanted and not that of the best one."""
+    """π(a | S_t), if Q of a given policy is estimated rather than of the optimal one."""
     imputation: Imputation | None = None
 
     def counted(self, counts: Float[np.ndarray, " n"]) -> "Transitions":
-        """Let each trajectory count so often."""
+        """Multiply the weight of each trajectory by its count."""
         imputed = self.imputation
         if imputed is not None:
             imputed = imputed._replace(outcome_weight=imputed.outcome_weight * counts[:, None])
@@ -181,36 +179,36 @@ class Transitions(NamedTuple):
 def q_values(
     coefficients: Float[Any, "*#S K F"], features: Float[Any, "*S E F1"], block_of_action: Int[np.ndarray, " A"]
 ) -> Float[Any, "*S A"]:
-    """Q of every action: the offset of its block plus βᵀφ, of features of its own or of those that all share."""
+    """Q of every action: the intercept of its block plus βᵀφ, with its own or shared features."""
     each = coefficients[..., block_of_action, :]
     if features.shape[-2] == 1:
-        # A product of matrices, where there are many rows.
+        # A matrix product is faster for many rows.
         xp = library_of(features, coefficients)
         return each[..., 0] + (features @ xp.swapaxes(each[..., 1:], -1, -2))[..., 0, :]
     return each[..., 0] + library_of(features, coefficients).sum(features * each[..., 1:], axis=-1)
 
 
 class Support(NamedTuple):
-    """How often each kind of action was begun and completed in each stage; support of parts of a log adds up."""
+    """How often each kind of action began and was completed in each stage; the support of parts of a log adds up."""
 
     num_begun: Int[np.ndarray, "T K"]
     num_completed: Int[np.ndarray, "T K"]
     is_allowed: Bool[np.ndarray, "T K"]
-    """Kinds that some state of the stage allowed."""
+    """Kinds that some state of the stage allows."""
 
     def plus(self, other: "Support") -> "Support":
-        """Join what another part of the log has seen."""
+        """Add the support of another part of the log."""
         begun, completed = self.num_begun + other.num_begun, self.num_completed + other.num_completed
         return Support(begun, completed, self.is_allowed | other.is_allowed)
 
     def is_seen(self, stages: StageMode) -> Bool[np.ndarray, "T K"]:
-        """Kinds that have a value: seen completed in the stage, or anywhere where stages are pooled."""
+        """Kinds that have a value: completed in the stage, or in any stage if stages are pooled."""
         seen = self.num_completed > 0
         return np.broadcast_to(seen.any(axis=0), seen.shape) if stages == "pooled" else seen
 
 
 def support_of(trajectories: TrajectoryArrays, kinds: Int[np.ndarray, " A"], num_kinds: int) -> Support:
-    """Count what a log has seen; `kinds` are those of its actions."""
+    """Count the support of a log; `kinds` are those of its actions."""
     known, each = trajectories.is_begun & trajectories.has_action, np.arange(num_kinds)
     is_kind = (kinds[trajectories.action][..., None] == each) & known[..., None]
     return Support(
@@ -221,7 +219,7 @@ def support_of(trajectories: TrajectoryArrays, kinds: Int[np.ndarray, " A"], num
 
 
 def unseen_in_words(support: Support, names: tuple[str, ...], stages: StageMode) -> list[str]:
-    """Say of each kind that was allowed and never seen completed where that was, and how often it was begun."""
+    """Describe each kind that was possible but never completed: in which stages, and how often it began."""
     reached: Bool[np.ndarray, "T 1"] = np.any(support.num_completed > 0, axis=1, keepdims=True)
     lacking = support.is_allowed & ~support.is_seen(stages) & reached
     findings = []
@@ -238,7 +236,7 @@ def unseen_in_words(support: Support, names: tuple[str, ...], stages: StageMode)
 
 
 def refuse_all_cut(is_finished: Bool[np.ndarray, " n"]) -> None:
-    """Refuse a log in which no trajectory came to its own end."""
+    """Refuse a log in which no trajectory finished."""
     if not is_finished.any():
         raise PositivityError(
             f"all {len(is_finished)} trajectories were cut, so how a trajectory ends was never seen; record until some "
@@ -247,11 +245,11 @@ def refuse_all_cut(is_finished: Bool[np.ndarray, " n"]) -> None:
 
 
 LEAST_SPREAD = 3e-7
-"""Standard deviation of rewards by the largest: sums of squares keep some three digits of it."""
+"""Smallest standard deviation of rewards relative to the largest: sums of squares keep about three digits of it."""
 
 
 def refuse_vanishing(reward: Float[np.ndarray, " m"]) -> None:
-    """Refuse rewards so small that their squares cannot be squared, or whose differences rounding would take away."""
+    """Refuse rewards whose squares underflow when squared, or whose differences are lost to rounding."""
     largest = float(np.max(np.abs(reward), initial=0.0))
     if 0.0 < largest < 1 / LARGEST:
         raise LogError(f"the largest reward is {largest:g}, whose fourth power is 0; give rewards in another unit")
@@ -264,7 +262,7 @@ def refuse_vanishing(reward: Float[np.ndarray, " m"]) -> None:
 
 
 def refuse_too_few(num_seen: int, num_trajectories: int) -> None:
-    """Refuse to hold out trajectories where fewer than two completed a stage."""
+    """Refuse cross-validation if fewer than two trajectories completed a stage."""
     if num_seen < 2:
         raise ArgumentError(
             f"reg is 'cv', which holds out trajectories, but {num_seen} of {num_trajectories} completed a stage; give "

@@ -1,14 +1,14 @@
-"""Which trajectories of a log are looked at, and how much each counts.
+"""Sampling of trajectories, and their weights by recency.
 
-*Sample.* Eq. 3 itself runs on sums, to which every trajectory adds. But landmarks of a kernel, durations of stages, the
-behaviour policy, the grasp model of a table and the choice of stages are fitted by methods that hold what they look at.
-Of a log of many trajectories, so many of them tell these as well as all would, in memory and in passes alike.
+*Sample.* Eq. 3 itself runs on sums over all trajectories. But the landmarks of a kernel, the durations of stages, the
+behaviour policy, the grasp model of a table and the choice of stage mode need methods that hold their data in memory. A
+sample of a long log determines these as well as the whole log would, in memory and in passes alike.
 
-*Recency.* With n trajectories in the order of their names and a half-life h, the i-th of eq. 3 counts
+*Recency.* With n trajectories in the order of their names and a half-life h, the i-th has the weight
 
     w_i = 2^{−(n−i)/h},   scaled to mean 1,
 
-beside its weight for cuts. So λ weighs as much as on a log in which each trajectory were there w_i times.
+in eq. 3, multiplied by its weight for cuts. So λ acts as on a log that contains each trajectory w_i times.
 """
 
 import numpy as np
@@ -17,10 +17,10 @@ from halfseen.logs import Logs
 from halfseen.shapes import Float, Int
 
 MOST_TRAJECTORIES = 2_000
-"""Trajectories of the sample; of a log that has no more, it is the log."""
+"""Size of the sample; a smaller log is used whole."""
 
 FEWEST_TRAJECTORIES = 100
-"""Below which no half-life is chosen, and by which a policy is judged at least."""
+"""Fewest trajectories for choosing a half-life, and for evaluating a policy on recent ones."""
 
 
 def sampled(num_trajectories: int, seed: int, most: int | None = None) -> Int[np.ndarray, " k"]:
@@ -31,9 +31,9 @@ def sampled(num_trajectories: int, seed: int, most: int | None = None) -> Int[np
     num_trajectories
         n.
     seed
-        Of the draw.
+        Seed of the draw.
     most
-        Trajectories to draw, if there are as many; None for `MOST_TRAJECTORIES`.
+        Size of the sample, if there are as many; None for `MOST_TRAJECTORIES`.
 
     Examples
     --------
@@ -47,7 +47,7 @@ def sampled(num_trajectories: int, seed: int, most: int | None = None) -> Int[np
 
 
 def recency_weights(num_trajectories: int, half_life: float | int) -> Float[np.ndarray, " n"]:
-    """What each trajectory of a log counts, with mean 1; the last one most.
+    """Weight of each trajectory of a log, with mean 1; the last has the largest.
 
     Examples
     --------
@@ -59,9 +59,9 @@ def recency_weights(num_trajectories: int, half_life: float | int) -> Float[np.n
 
 
 def latest(logs: Logs, half_life: float | str | None, num_trajectories: int) -> Logs:
-    """Keep the trajectories that count half of the last one, or more, but at least 100; all without a half-life.
+    """Keep trajectories with at least half the weight of the last one, but at least 100; all without a half-life.
 
-    They are a log of so many, or were drawn from it.
+    `logs` is a log of `num_trajectories`, or a sample of it.
     """
     if not isinstance(half_life, float):
         return logs

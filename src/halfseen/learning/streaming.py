@@ -1,12 +1,13 @@
 """Eq. 3 in passes over a log that need not fit in memory: the sums of its parts add up.
 
-Each backward step asks every shard of the log for sums, and adds them in the order of the shards; so what is learned is
-what the whole log in memory would give, but for the rounding of the sums, and the same bytes whichever worker sums.
-What is no sum is fitted to the same sample of trajectories as in memory (`sample`). The log itself is read and checked
-once; after that its arrays are read from disk, where they were kept between passes, for reading and checking takes
-longest. What cannot be kept is no loss but of time: anyone who has not got a part lays it out again, to the same bytes;
-so it does not matter which worker sums a shard, nor how often one is lost. The folder is private to the user and gone
-after the passes; its arrays are mapped, so that a pass reads no more of them than it looks at.
+Each backward step asks every shard of the log for sums and adds them in the order of the shards. So the result equals
+that of the whole log in memory, up to the rounding of the sums, with the same bytes whichever worker sums. What is not
+a sum is fitted to the same sample of trajectories as in memory (`sample`).
+
+Reading and checking the log takes longest, so it is done once; then its arrays are kept on disk between passes. A
+worker without a part lays it out again, to the same bytes, so a lost part or a different worker costs only time. The
+folder is private to the user and deleted after the passes. Its arrays are memory-mapped, so a pass reads only what it
+uses.
 """
 
 import ctypes
@@ -46,26 +47,26 @@ from halfseen.workers import ALONE, Pool, Workers
 from halfseen.workers.threads import one_thread
 
 MOST_SHARE = 0.5
-"""Of the room that there is on the disk, for all that is kept of a log."""
+"""Share of the free disk space for everything that is kept of a log."""
 
 
 class Learned(NamedTuple):
-    """What was learned from a log."""
+    """The result of learning from a log."""
 
     model: QModel
-    """With what was fitted before Q."""
+    """With everything fitted before Q."""
     q_functions: QFunctions
     chosen: tuple[str, ...]
-    """What was chosen by itself."""
+    """What was chosen automatically."""
     weights: Float[np.ndarray, "n T"]
-    """Of every stage in eq. 3; of a stream, on disk."""
+    """Of every stage in eq. 3; on disk for a stream."""
     diagnostics: WeightDiagnostics
 
 
 def learned_from(logs: Logs | LogStream, model: QModel, has_choice: bool, workers: Workers | None = None) -> Learned:
-    """Learn from a log, in memory, or in passes over a stream, whose shards workers sum.
+    """Learn from a log in memory, or in passes over a stream whose shards are summed by workers.
 
-    Where it has a choice, whether stages are to be pooled is for the log to say (`judging`).
+    With `has_choice`, the log decides whether stages are pooled (`judging`).
     """
     if isinstance(logs, LogStream):
         return _streaming(logs, model, has_choice, workers or ALONE)
@@ -77,7 +78,7 @@ def learned_from(logs: Logs | LogStream, model: QModel, has_choice: bool, worker
 
 
 def _streaming(stream: LogStream, model: QModel, has_choice: bool, workers: Workers) -> Learned:
-    """The first pass gathers what Ĝ needs, and a sample of the trajectories; each backward step is a pass."""
+    """Gather the inputs of Ĝ and a sample of trajectories in the first pass; then make each backward step a pass."""
     refuse_all_cut(stream.is_finished)
     shards, num_trajectories = stream.shards(), stream.num_trajectories
     with (
@@ -103,7 +104,7 @@ def _streaming(stream: LogStream, model: QModel, has_choice: bool, workers: Work
 def _with_choices(
     model: QModel, sample: TrajectoryArrays, has_choice: bool, num_trajectories: int
 ) -> tuple[QModel, tuple[str, ...]]:
-    """Choose what the log is to say: stages, and a half-life; and say why."""
+    """Choose the stage mode and the half-life by the log, if they are open; return the reasons, too."""
     model, chosen = with_stages(model, sample) if has_choice else (model, model.chosen)
     model, why = with_half_life(model, sample, num_trajectories)
     return model, (*chosen, *why)
@@ -118,7 +119,7 @@ def _backward_streaming(
     dealt = [(shard, fold[shard.trajectories]) for shard in shards]
     tally = WeightTally(model.cut_model and model.cut_model.truncate_at)
     num_passes, is_first = model.horizon + (regression.end_action is not None), True
-    # The file has no name; it is gone with the last array that shows it.
+    # The file has no name; it is deleted with the last array that maps it.
     with one_thread(), TemporaryFile(prefix="halfseen-") as file, Progress(num_passes, "learn", "passes") as bar:
 
         def ask(step: Step) -> StepSums:
@@ -143,7 +144,7 @@ def _backward_streaming(
 
 
 def sample_of(stream: LogStream, seed: int, most: int | None = None) -> Logs:
-    """Read some of the trajectories; by default those that `QModel.sample_of` takes of a log in memory."""
+    """Read a sample of trajectories; by default the one that `QModel.sample_of` draws from a log in memory."""
     return _read(stream, stream.shards(), sampled(stream.num_trajectories, seed, most), Pool(None))
 
 
@@ -154,7 +155,7 @@ def _read(stream: LogStream, shards: Sequence[Shard], rows: Int[np.ndarray, " k"
 
 
 def _tables_of(folder: Folder, wanted: tuple[Shard, Int[np.ndarray, " k"]]) -> list[Tables]:
-    """Read some trajectories of a shard, by their rows, and check nothing."""
+    """Read some trajectories of a shard, by row, without checks."""
     reader, (shard, rows), found = ShardReader(folder), wanted, []
     for part in shard.parts:
         here = rows[(rows >= part.trajectories[0]) & (rows < part.trajectories[1])] - part.trajectories[0]
@@ -164,12 +165,12 @@ def _tables_of(folder: Folder, wanted: tuple[Shard, Int[np.ndarray, " k"]]) -> l
 
 
 def give_back() -> None:
-    """Hand what was freed back to the system: what Arrow has read, and what the allocator keeps."""
+    """Return freed memory to the system: that of Arrow, and what the allocator keeps."""
     arrow = sys.modules.get("pyarrow")
     if arrow is not None:
         arrow.default_memory_pool().release_unused()
     if sys.platform == "linux":
-        # Other libraries of C do so by themselves, or cannot be told to.
+        # Other C libraries do so on their own, or offer no such call.
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
         if trim is not None:
             trim(0)
@@ -177,19 +178,19 @@ def give_back() -> None:
 
 @dataclass(frozen=True)
 class KeptParts:
-    """A folder of parts, by kind and number; every process that asks writes and reads whole files."""
+    """A folder of parts, by kind and number; each process writes and reads whole files."""
 
     name: str
-    """Of the folder, or what to call one that each process makes for itself."""
+    """Of the folder, or an identifier for the folder that each process makes for itself."""
     is_shared: bool
-    """Whether all that ask are on this machine, and the folder is there."""
+    """Whether all processes are on this machine and the folder exists."""
     most_bytes: int
-    """That a part may take."""
+    """Size limit of a part."""
 
     def keep(self, kind: str, number: int, part: Any) -> None:
-        """Keep a part, records of arrays in one another, if there is room; what is there already is replaced.
+        """Keep a part, which is nested records of arrays, if there is room; an existing one is replaced.
 
-        A part is written whole: if the disk is full, nothing of it is left.
+        A part is written whole: if the disk fills up, nothing of it remains.
         """
         import joblib
 
@@ -204,7 +205,7 @@ class KeptParts:
             beside.unlink(missing_ok=True)
 
     def read(self, kind: str, number: int) -> Any:
-        """Read what is kept of a part; None if nothing is."""
+        """Read a part; None if it was not kept."""
         import joblib
 
         try:
@@ -213,7 +214,7 @@ class KeptParts:
             return None
 
     def forget(self, kind: str, number: int) -> None:
-        """Make room."""
+        """Delete a part."""
         self._file(kind, number).unlink(missing_ok=True)
 
     def _file(self, kind: str, number: int) -> Path:
@@ -221,15 +222,15 @@ class KeptParts:
 
 
 def num_bytes_of(part: Any) -> int:
-    """Bytes of the arrays; those that repeat themselves are written out."""
+    """Bytes of the arrays when written; broadcast arrays are written in full."""
     return sum(map(num_bytes_of, part)) if isinstance(part, tuple) else getattr(part, "nbytes", 0)
 
 
 @contextmanager
 def kept_parts(num_parts: int, is_shared: bool = True) -> Iterator[KeptParts]:
-    """Have a place for so many parts of a log, for the length of a ``with`` block.
+    """Provide a place for the parts of a log for the length of a ``with`` block.
 
-    Where not all workers are on this machine, each keeps what it has laid out itself, until it has another log.
+    If not all workers are on this machine, each keeps its own parts until it gets another log.
     """
     with TemporaryDirectory(prefix="halfseen-") as name:
         most = int(MOST_SHARE * shutil.disk_usage(name).free / num_parts)
@@ -240,7 +241,7 @@ _OWN: dict[str, TemporaryDirectory] = {}
 
 
 def _own_folder(name: str) -> str:
-    """Folder of this process for one log; that of the log before goes."""
+    """Folder of this process for one log; that of the previous log is deleted."""
     if name not in _OWN:
         while _OWN:
             _OWN.popitem()[1].cleanup()
@@ -250,7 +251,7 @@ def _own_folder(name: str) -> str:
 
 @dataclass(frozen=True)
 class _Work:
-    """What all workers are told once a pass: the log, the model as far as it is fitted, and where parts are kept."""
+    """What all workers receive once per pass: the log, the model as fitted so far, and where parts are kept."""
 
     folder: Folder
     num_trajectories: int
@@ -258,7 +259,7 @@ class _Work:
     model: QModel
 
     def trajectories_of(self, shard: Shard) -> Iterator[TrajectoryArrays]:
-        """Lay out the parts of a shard as arrays."""
+        """Arrange the parts of a shard as arrays."""
         reader = cache(partial(ShardReader, self.folder))
         for part in shard.parts:
             trajectories = self.kept.read("trajectories", part.number)
@@ -268,14 +269,14 @@ class _Work:
             yield trajectories
 
     def rewarded(self, shard: Shard) -> Iterator[RewardedStages]:
-        """What the stages of a shard paid; nothing is read unless it is asked for."""
+        """Rewards of the stages of a shard, read lazily."""
         for trajectories in self.trajectories_of(shard):
             yield self.model.rewarded(trajectories, self.model.targets.weights(trajectories, self.model.cut_model))
 
     def rows_of(
         self, shard: Shard, fold: Int[np.ndarray, " n"], is_first: bool
     ) -> Iterator[tuple[Part, Rows, Float[np.ndarray, "n T"] | None]]:
-        """Pack the parts of a shard; for the first time with the weight of every stage."""
+        """Pack the parts of a shard; in the first pass with the weight of every stage."""
         reader, begin = cache(partial(ShardReader, self.folder)), shard.trajectories.start
         for part in shard.parts:
             rows, weight = None if is_first else self.kept.read("rows", part.number), None
@@ -292,7 +293,7 @@ class _Work:
             yield part, rows, weight
 
     def _laid_out(self, reader: Callable[[], ShardReader], part: Part) -> TrajectoryArrays:
-        """A part of the log, which is opened where it is first read."""
+        """A part of the log, whose reader is opened on first use."""
         logs = reader().read(part)
         self.model.check_horizon(logs)
         return self.model.lay_out(logs)
@@ -302,12 +303,12 @@ _Look = tuple[Support, list[StageClocks]]
 
 
 def _look_at(work: _Work, shard: Shard) -> _Look:
-    """Read a shard for the first time: what was seen completed, and what Ĝ is fitted to beyond ends, if it is."""
+    """Read a shard for the first time: its support and, if Ĝ is fitted, the data that Ĝ needs besides ends."""
     model, looks = work.model, []
     for trajectories in work.trajectories_of(shard):
         clocks = model.targets.looks_at(trajectories.clocks)
         looks.append((model.support_in(trajectories), [] if clocks is None else [clocks]))
-    # This process may wait for long now, for others that read.
+    # This process may now wait long for other readers.
     give_back()
     return _joined(looks)
 
@@ -321,7 +322,7 @@ def _joined(looks: Iterable[_Look]) -> _Look:
 def _sums_of(
     work: _Work, step: Step, is_first: bool, dealt: tuple[Shard, Int[np.ndarray, " n"]]
 ) -> tuple[StepSums, Float[np.ndarray, "n T"] | None]:
-    """Sum a shard up for one backward step, given the folds of its trajectories; in the first pass with all weights."""
+    """Sum a shard for one backward step, given the folds of its trajectories; in the first pass with all weights."""
     total, weights, keeps_norms = None, [], work.model.stages == "pooled"
     for part, rows, weight in work.rows_of(*dealt, is_first):
         known = work.kept.read("norms", part.number) if keeps_norms else None

@@ -1,17 +1,17 @@
 """The rows of eq. 3, packed, and what a backward step sums over them; the sums of the parts of a log add up.
 
-A group is the rows of one *slice*, fold and block, completed or cut; groups lie one after another. So a sum over a
-group is a product of two narrow matrices without masks. Slices of separate stages are the stages. Those of pooled
-stages are rows that speak of more than one step to go (`GOING_ON`), and rows that the horizon ended (`ENDED`).
+A group is the rows of one *slice*, fold and block, completed or cut; groups are contiguous. So a sum over a group is a
+product of two narrow matrices without masks. For separate stages the slices are the stages. For pooled stages they are
+the rows that inform more than one step to go (`GOING_ON`) and the rows that the horizon ended (`ENDED`).
 
 An imputed target Y (`rows.Imputation`) is linear in the coefficients of the regression of X, which are known only once
-all parts were read. So Σ w x Y is kept as what it is of the share of X, and what it is for each coefficient. A target
-that is not imputed is the case share = 1, without terms.
+all parts have been read. So Σ w x Y is stored as one sum for the share of X and one for each coefficient. A target that
+is not imputed is the case share = 1, without terms.
 
-V̂ of the states that a backward step asks for: the largest Q, or the largest lower confidence bound of Q.
+V̂ of the states that a backward step uses is the largest Q, or the largest lower confidence bound of Q.
 
-Standard errors of Q take longest, and from one backward step to the next their root R most often stays what it was, but
-for a factor. So ‖Rᵀ (1, φ)‖ is kept as `Norms` with the R that it is of, and found again where R is another.
+Standard errors of Q take longest to compute, and their root R usually changes only by a factor from one backward step
+to the next. So ‖Rᵀ (1, φ)‖ is kept as `Norms` with its R, and computed again only if R has changed otherwise.
 """
 
 from itertools import pairwise
@@ -26,14 +26,14 @@ from halfseen.shapes import Bool, Float, Int
 
 GOING_ON, ENDED = 0, 1
 WHOLE, SHARE, OUTCOME, SEEN = range(4)
-"""What rows weigh: w; w·share; in the regression of X; and in what is known of completed stages."""
+"""Weights of rows: w; w·share; in the regression of X; and of completed stages, for standard errors."""
 
 
 class Regression(NamedTuple):
     """How each step of eq. 3 is fitted."""
 
     block_of_action: Int[np.ndarray, " A"]
-    """Which block of coefficients each action uses."""
+    """Block of coefficients of each action."""
     num_blocks: int
     """K."""
     regs: Float[np.ndarray, " L"]
@@ -42,27 +42,26 @@ class Regression(NamedTuple):
     """V, folds of the cross-validation."""
     stages: StageMode
     end_action: int | None = None
-    """For pooled stages: the action that the horizon forces upon a trajectory, so that Q_0(S) = Q(S, end_action); every
-    Q is shrunk towards it. It must end a trajectory wherever it is taken, and a feature must mean the same in all
-    blocks
-    or be 0 for it. None if reaching the horizon costs nothing, Q_0 ≡ 0."""
+    """For pooled stages: the action that the horizon forces, so that Q_0(S) = Q(S, end_action); every Q is shrunk
+    towards it. It must end a trajectory wherever it is taken, and each feature must mean the same in all blocks or be 0
+    for it. None if reaching the horizon costs nothing, Q_0 ≡ 0."""
     is_scaled: bool = True
-    """Whether λ weighs features as if each had unit variance; False for features of a kernel."""
+    """Whether λ penalises features as if each had unit variance; False for features of a kernel."""
     pessimism: float = 0.0
-    """Standard errors (`ridge`) by which Q is lowered wherever the largest is sought; 0 for eq. 3 as it is."""
+    """Standard errors (`ridge`) by which Q is lowered wherever a maximum is taken; 0 for eq. 3 unchanged."""
     is_partially_pooled: bool = False
-    """Whether the Q of each block is shrunk, with its offset, towards one that all blocks have in common."""
+    """Whether the Q of each block is shrunk, with its intercept, towards a fit common to all blocks."""
 
 
 class Columns(NamedTuple):
-    """Of the matrix of rows: 1 and φ(S_t, A_t), control variates, terms, and what is expected of these."""
+    """Columns of the matrix of rows: 1 and φ(S_t, A_t), control variates, terms, and expected terms."""
 
     num_features: int
-    """Of Q, the offset among them."""
+    """Of Q, including the intercept."""
     num_variates: int
     num_terms: int
     is_used: Float[np.ndarray, " F"] | None
-    """1 for each feature that the regression of X looks at; None where targets are not imputed."""
+    """1 for each feature that the regression of X uses; None if targets are not imputed."""
 
     @property
     def num_design(self) -> int:
@@ -71,17 +70,17 @@ class Columns(NamedTuple):
 
 
 class StateChoices(NamedTuple):
-    """What is possible in the states, where each action has features of its own, sorted by block."""
+    """Possible actions of the states, sorted by block, if each action has its own features."""
 
     matrix: Float[np.ndarray, "C F"]
     """1, φ(S, a)."""
     begin: Int[np.ndarray, " K1"]
-    """Where the choices of each block begin, and where the last ones end."""
+    """Start of the choices of each block, and the end of the last."""
     row: Int[np.ndarray, " C"]
     """That of S."""
     action: Int[np.ndarray, " C"]
     policy: Float[np.ndarray, " C"] | None
-    """π(a | S), where Q of a given policy is wanted."""
+    """π(a | S), if Q of a given policy is estimated."""
 
 
 class Rows(NamedTuple):
@@ -91,36 +90,36 @@ class Rows(NamedTuple):
     columns: Columns
     reward: Float[np.ndarray, " R"]
     weights: Float[np.ndarray, "4 R"]
-    """0 of a state that only follows another one."""
+    """0 for a state that is only a successor."""
     after: Int[np.ndarray, " R"]
-    """Row of S_{t+1}; R where nothing follows."""
+    """Row of S_{t+1}; R if there is none."""
     groups: Int[np.ndarray, "N 5"]
-    """Slice, fold and block of each group, where it begins and where it ends."""
+    """Slice, fold, block, start and end of each group."""
     is_possible: Bool[np.ndarray, "R A"]
     block_of_action: Int[np.ndarray, " A"]
     choices: StateChoices | None
-    """None where all actions of a state have the same features."""
+    """None if all actions of a state have the same features."""
     policy: Float[np.ndarray, "R A"] | None
-    """π(a | S_t), if Q of a given policy is wanted."""
+    """π(a | S_t), if Q of a given policy is estimated."""
 
     def groups_of(self, slices: tuple[int, ...]) -> Int[np.ndarray, "N1 5"]:
-        """Groups of slices that lie one after another."""
+        """Groups of contiguous slices."""
         first, last = np.searchsorted(self.groups[:, 0], [slices[0], slices[-1] + 1])
         return self.groups[first:last]
 
     def span(self, slices: tuple[int, ...]) -> slice:
-        """Rows of slices that lie one after another."""
+        """Rows of contiguous slices."""
         groups = self.groups_of(slices)
         return slice(int(groups[0, 3]), int(groups[-1, 4])) if len(groups) else slice(0, 0)
 
 
 def packed(log: Transitions, regression: Regression) -> Rows:
-    """Pack a log, or a part of it that is laid out as the whole would be."""
+    """Pack a log, or a part of it in the same layout."""
     blocks, end_action = regression.block_of_action, regression.end_action
     weight, given, num_stages = log.weight, log.imputation, log.weight.shape[1]
     goes_on = (weight > 0) & ~log.is_last & (np.arange(num_stages) < num_stages - 1)
     if given is not None:
-        # Of a stage that was cut no successor was seen.
+        # A cut stage has no observed successor.
         goes_on &= given.share != 0
     is_state = np.zeros_like(goes_on)
     is_state[:, 1:] = goes_on[:, :-1]
@@ -173,7 +172,7 @@ def _matrix(log: Transitions, at: tuple[np.ndarray, np.ndarray]) -> tuple[Float[
     given, num_rows = log.imputation, len(at[0])
     variates = terms = expected = np.zeros((num_rows, 0))
     if log.control_variates is not None:
-        # What is not known of a trajectory's end does not count; imputed targets hold a share of each.
+        # Values at the end of a trajectory are unknown and ignored; imputed targets use a share of each.
         variates = np.where(log.is_last[at][:, None], 0.0, log.control_variates[at])
         variates = variates if given is None else variates * given.share[at][:, None]
     if given is not None:
@@ -201,12 +200,12 @@ def _choices(
 
 
 class Moments(NamedTuple):
-    """Sums over a slice that no target changes."""
+    """Sums over a slice that do not depend on the targets."""
 
     of_matrix: Float[np.ndarray, "4 V K M M"]
     """Σ w z zᵀ of the rows z of the matrix, for each of their weights."""
     counts: Float[np.ndarray, "3 K"]
-    """Of completed stages: Σw; Σw²; and how many have a weight."""
+    """Of completed stages: Σw; Σw²; and the number with positive weight."""
 
 
 class Crosses(NamedTuple):
@@ -219,7 +218,7 @@ class Crosses(NamedTuple):
 
 
 def moments_of(rows: Rows, which: int, regression: Regression) -> Moments:
-    """Sum up what no target changes over the rows of a slice."""
+    """Sum the rows of a slice, for sums that do not depend on the targets."""
     width, num_folds, num_blocks = rows.matrix.shape[1], regression.num_folds, regression.num_blocks
     found = Moments(np.zeros((4, num_folds, num_blocks, width, width)), np.zeros((3, num_blocks)))
     for _, fold, block, begin, end in rows.groups_of((which,)).tolist():
@@ -233,7 +232,7 @@ def moments_of(rows: Rows, which: int, regression: Regression) -> Moments:
 def _add_moments(
     sums: Float[np.ndarray, "4 M M"], matrix: Float[np.ndarray, "r M"], weights: Float[np.ndarray, "4 r"]
 ) -> None:
-    """Weights that are the same are summed once, and those that are 0 not at all."""
+    """Sum equal weights once, and skip zero weights."""
     left = [number for number, weight in enumerate(weights) if weight.any()]
     while left:
         weight = weights[left[0]]
@@ -245,7 +244,7 @@ def _add_moments(
 def crosses_of(
     rows: Rows, slices: tuple[int, ...], values: Float[np.ndarray, " R1"], regression: Regression
 ) -> Crosses:
-    """Sum up what depends on the targets over the rows of some slices; `values` holds V̂ of the state of each, and 0."""
+    """Sum the rows of some slices with their targets; `values` holds V̂ of the state of each row, and a last 0."""
     span = rows.span(slices)
     target = rows.reward[span] + values[rows.after[span]]
     weighted = (rows.weights[SHARE:, span] * target).T.copy()
@@ -259,23 +258,23 @@ def crosses_of(
 
 
 ROWS_AT_ONCE = 2_048
-"""Rows whose products stay in the cache of a core."""
+"""Rows whose products fit in the cache of a core."""
 
 
 class Successor(NamedTuple):
-    """What V̂(S_{t+1}) is made of."""
+    """The components of V̂(S_{t+1})."""
 
     slices: tuple[int, ...]
-    """Those that hold S_{t+1}."""
+    """The slices that hold S_{t+1}."""
     coefficients: Float[np.ndarray, "K F"]
     errors: Errors | None
-    """With pessimism, how far Q is lowered."""
+    """Errors by which pessimism lowers Q."""
     forced: int | None = None
-    """The action that is taken, whatever Q says: the one that the horizon forces upon a trajectory."""
+    """The action that the horizon forces on a trajectory, whatever Q is."""
 
 
 class Norms(NamedTuple):
-    """‖Rᵀ (1, φ)‖ of all that is possible, by block."""
+    """‖Rᵀ (1, φ)‖ of all possible actions, by block."""
 
     root: Float[np.ndarray, "K F F"]
     of_block: tuple[Float[np.ndarray, " _"], ...]
@@ -284,7 +283,7 @@ class Norms(NamedTuple):
 def values_of(
     rows: Rows, successor: Successor | None, known: Norms | None
 ) -> tuple[Float[np.ndarray, " R1"], Norms | None]:
-    """V̂ of the state of every row that a step asks for, with a last one that is 0; and the norms, for the next step."""
+    """V̂ of the state of every row that a step uses, with a last 0; and the norms, for the next step."""
     values = np.zeros(len(rows.reward) + 1)
     if successor is None:
         return values, known
@@ -342,5 +341,5 @@ def _best_of_choices(
 
 
 def or_nothing(largest: Float[np.ndarray, "*S"]) -> Float[np.ndarray, "*S"]:
-    """0 where nothing is possible."""
+    """0 where no action is possible."""
     return np.where(np.isneginf(largest), 0.0, largest)

@@ -1,25 +1,26 @@
-"""Q of a state that is one of many names: a table of states by actions, its cells partially pooled.
+"""Q for states given by name: a table of states by actions, with partially pooled cells.
 
-A covariate of some hundred categories, such as the cluster of a patient or the cell of a map, tells all that is known
-of a state, and nothing says which states are alike. So each step of eq. 3 is a mean for each state s and action a,
+A covariate of some hundred categories, such as the cluster of a patient or the cell of a map, is all that is known of a
+state, and the similarity of states is not known. So each step of eq. 3 is a mean for each state s and action a,
 
     X = R + V̂(S′),   m_sa = Σ w X / Σ w   over the n_sa completed stages,
 
-and most of these means are of few stages: to take the largest is to take the luckiest. They are pooled as in a
-random-effects model [GelmanHill2007]_ whose numbers are found by moments [DerSimonianLaird1986]_:
+and most of these means have few stages, so their maximum is biased upwards. They are pooled as in a random-effects
+model [GelmanHill2007]_ whose parameters are estimated by moments [DerSimonianLaird1986]_:
 
     Q(s, a) = μ_s + γ·(log n_sa − mean) + u_sa,   u_sa ~ N(0, σ_s²/κ),   m_sa | Q ~ N(Q(s, a), σ_s²/n_sa).
 
-- *κ* is how many stages the mean of a state counts for: a cell of n stages keeps n/(n + κ) of what it differs. The
-  variance of u is taken to be at least one standard error of its estimate. A log that is too small to tell whether
-  actions differ then still tells which seems best.
-- *γ* ≥ 0 is what is gained by doing as the log does: whoever made it knew something, or it is 0.
-- *μ_s* is shrunk towards the mean of all states, for a state may have been seen once.
+- *κ* is the weight of the mean of a state in stages: a cell of n stages keeps n/(n + κ) of its deviation. The variance
+  of u is taken to be at least one standard error of its estimate. So a log that is too small to show whether actions
+  differ still ranks them.
+- *γ* ≥ 0 is the gain from following the log, whose policy may have had more information; otherwise it is 0.
+- *μ_s* is shrunk towards the mean of all states, because a state may have been visited once.
 
-An action that was never completed in a state is valued below all that were, and so never taken there.
+An action that was never completed in a state is valued below all that were, so it is never taken there.
 
-A stage weighs 1/K̂, the chance that it is not cut while it lasts: in one state all trajectories have the same future, so
-what was cut before does not matter. Stages are pooled; a row that the horizon ended serves Q_1 alone (`recursion`).
+A stage has weight 1/K̂, with K̂ the probability that it is not cut while it lasts: in one state all trajectories have
+the same future, so earlier cuts do not matter. Stages are pooled; a row that the horizon ended is used for Q_1 only
+(`recursion`).
 """
 
 from collections.abc import Iterable, Sequence
@@ -39,15 +40,15 @@ from halfseen.logs.missing import Filling
 from halfseen.shapes import Float, Int
 
 TRAJECTORIES_OF_STATE = 1.25
-"""That come to a state, on average."""
+"""Fewest trajectories per state, on average."""
 ROUNDING = 1e-9
 STAGES_OF_VARIANCE = 20.0
-"""Stages that the variance of all states counts for, beside those of one state."""
+"""Weight, in stages, of the variance of all states when pooled with that of one state."""
 
 
 @dataclass(frozen=True)
 class StateActions(NamedActions):
-    """Named actions in a state that one column names (a `Task` of `TabularQ`)."""
+    """Named actions in a state given by one column (a `Task` of `TabularQ`)."""
 
     @property
     def num_states(self) -> int:
@@ -74,7 +75,7 @@ class StateActions(NamedActions):
 
 
 def with_states(task: Any, logs: Any, targets: Any) -> StateActions:
-    """Make a task of named actions one of a table."""
+    """Make a tabular task from a task of named actions."""
     if not isinstance(task, NamedActions) or len(task.covariates) != 1:
         raise ArgumentError(
             "q_function is 'tabular', which takes named actions and one covariate, the name of the state"
@@ -93,9 +94,9 @@ def with_states(task: Any, logs: Any, targets: Any) -> StateActions:
 
 
 def is_state(logs: Any, covariates: Sequence[str]) -> bool:
-    """Whether the only covariate of a log in memory is text of too many categories for an indicator of each.
+    """Whether the only covariate of a log in memory is text of too many categories for indicators.
 
-    Trajectories have to share them, or it names the trajectory.
+    Trajectories must share the categories, or the column identifies the trajectory.
     """
     if not isinstance(logs, Logs) or len(covariates) != 1 or covariates[0] not in logs.stages.columns:
         return False
@@ -113,16 +114,16 @@ def fit_table(log: Transitions, num_states: int, reg: float | None = None) -> QF
     Parameters
     ----------
     log
-        Whose one feature is the number of the state, from 1.
+        Log with one feature, the number of the state, from 1.
     num_states
         S.
     reg
-        κ; with 0 every cell is its own mean. None to find κ and γ in the log, and to shrink the means of states.
+        κ; with 0 every cell is its own mean. None to estimate κ and γ from the log, and to shrink the means of states.
 
     Returns
     -------
     QFunctions
-        By steps to go, one first; coefficients are Q of the first state and how far each other state lies from it.
+        By steps to go, one first; coefficients are Q of the first state and the differences of the others from it.
     """
     rows, horizon = _rows_of(log), log.action.shape[1]
     if not len(rows.cell):
@@ -145,7 +146,7 @@ class _Rows(NamedTuple):
     cell: Int[np.ndarray, " m"]
     """s·A + a."""
     successor: Int[np.ndarray, " m"]
-    """Next state, from 1; 0 after a trajectory's own end."""
+    """Next state, from 1; 0 after the trajectory finished."""
     reward: Float[np.ndarray, " m"]
     weight: Float[np.ndarray, " m"]
     is_at_horizon: np.ndarray
@@ -166,7 +167,7 @@ def _rows_of(log: Transitions) -> _Rows:
 
 
 class _Cells:
-    """Rows by cell, and what is the same at every step."""
+    """Rows by cell, and quantities that do not change between steps."""
 
     def __init__(self, rows: _Rows, shape: tuple[int, int]) -> None:
         self.id, self.of_row = np.unique(rows.cell, return_inverse=True)
@@ -175,12 +176,12 @@ class _Cells:
         self.n = self.weight**2 / self._sum(rows.weight**2)
         self.n_of_state = np.bincount(self.state, self.n, shape[0])
         self.is_seen = self.n_of_state > 0
-        # What is left of a cell's own variance where the mean of its state is taken out.
+        # Share of a cell's own variance that remains after subtracting the mean of its state.
         self.rest = 1.0 - self.n / self.n_of_state[self.state]
         self.freedom = np.bincount(self.state, self.n - 1.0, shape[0])
 
     def table(self, value: Float[np.ndarray, " S"], reg: float | None) -> tuple[Float[np.ndarray, "S A"], float]:
-        """Q of each state and action, given V̂ of what follows; and κ."""
+        """Q of each state and action, given V̂ of the successors; and κ."""
         target = self.rows.reward + np.append(0.0, value)[self.rows.successor]
         mean = self._sum(self.rows.weight * target) / self.weight
         squares = self._sum(self.rows.weight * (target - mean[self.of_row]) ** 2) / self.weight * self.n
@@ -188,7 +189,7 @@ class _Cells:
         if reg is not None:
             apart = mean - of_state[self.state]
             return self._filled(of_state[self.state] + apart * self.n / (self.n + reg), 0.0, of_state), reg
-        # Where nothing varies in a cell, what differs is sure, however little it is.
+        # Without variance within cells, even the smallest difference is certain.
         variance = np.maximum(self._variance(squares), ROUNDING**2 * (target**2).mean() or 1.0)
         noise = variance[self.state]
         liking = self._liking(mean - of_state[self.state], self.n / noise)
@@ -199,7 +200,7 @@ class _Cells:
         return self._filled(q, float(np.sqrt(noise.mean() / max(kappa, 1.0))), of_state), kappa
 
     def _variance(self, squares: Float[np.ndarray, " c"]) -> Float[np.ndarray, " S"]:
-        """σ_s² of X in one cell of each state, shrunk towards that of all."""
+        """σ_s² of X within the cells of each state, shrunk towards that of all states."""
         pooled = squares.sum() / max(self.freedom.sum(), 1.0)
         own = np.bincount(self.state, squares, self.shape[0])
         return (own + STAGES_OF_VARIANCE * pooled) / (self.freedom + STAGES_OF_VARIANCE)
@@ -212,13 +213,13 @@ class _Cells:
         return log_n * max(float((weight * log_n * apart).sum()) / spread, 0.0) if spread > 0 else 0.0 * log_n
 
     def _kappa(self, squares: Float[np.ndarray, " c"]) -> float:
-        """κ by moments: Σ n (m − μ)²/σ² is Σ rest + Σ n·rest/κ on average."""
+        """κ by moments: Σ n (m − μ)²/σ² has the expectation Σ rest + Σ n·rest/κ."""
         by_chance = float(self.rest.sum())
         excess = max(float(squares.sum()) - by_chance, float(np.sqrt(2.0 * by_chance)))
         return float((self.n * self.rest).sum()) / excess if excess > 0 else 0.0
 
     def _shrunk(self, mean: Float[np.ndarray, " S"], variance: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
-        """Means of states, those of few stages nearer to the mean of all, which a state never seen has."""
+        """Means of states, shrunk towards the mean of all if they have few stages; unseen states have that mean."""
         among, noise = mean[self.is_seen], variance[self.is_seen] / self.n_of_state[self.is_seen]
         spread = max(float(among.var() - noise.mean()), 0.0)
         shrunk = np.full(len(mean), among.mean())
@@ -228,7 +229,7 @@ class _Cells:
     def _filled(
         self, q: Float[np.ndarray, " c"], below: float, of_state: Float[np.ndarray, " S"]
     ) -> Float[np.ndarray, "S A"]:
-        """Lay cells out as a table; what was not seen lies below the least of its state."""
+        """Arrange cells as a table; unseen cells lie below the smallest of their state."""
         least = np.where(self.is_seen, np.inf, of_state)
         np.minimum.at(least, self.state, q)
         other = np.where(self.is_seen, least - below - ROUNDING * (1.0 + np.abs(least)), of_state)
@@ -240,6 +241,6 @@ class _Cells:
         return np.bincount(self.of_row, of_row, len(self.id))
 
     def _within_states(self, each: Float[np.ndarray, " c"], weight: Float[np.ndarray, " c"]) -> Float[np.ndarray, " S"]:
-        """Weighted mean over the cells of each state; of one never seen that of all."""
+        """Weighted mean over the cells of each state; the mean of all for an unseen state."""
         total = np.bincount(self.state, weight * each, self.shape[0])
         return np.where(self.is_seen, total / np.where(self.is_seen, self.n_of_state, 1.0), float(np.average(each)))

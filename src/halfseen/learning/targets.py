@@ -1,7 +1,7 @@
-"""What stands for what a cut took away: weights, doubly robust targets, Buckley and James's, or nothing.
+"""How the outcomes that cuts removed are replaced: by weights, doubly robust targets, Buckley–James, or not at all.
 
-Each kind brings its own settings, so none can be given where it means nothing. All answer the same questions: which
-model of the cuts, what each stage weighs in eq. 3, and whether targets are imputed, and by which covariates.
+Each kind has its own settings, so none can be given where it has no meaning. All have the same interface: the model of
+the cuts, the weight of each stage in eq. 3, and whether targets are imputed, and by which covariates.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,7 +18,7 @@ from halfseen.shapes import Float
 
 @dataclass(frozen=True)
 class Weighted(CensoringSpec):
-    """Completed stages count δ_t / Ĝ(U_t⁻), as eq. 3 has it (IPCW); parameters as in `CensoringSpec`."""
+    """Completed stages have the weight δ_t / Ĝ(U_t⁻), as in eq. 3 (IPCW); parameters as in `CensoringSpec`."""
 
     is_imputed = False
     outcome_covariates = None
@@ -31,14 +31,14 @@ class Weighted(CensoringSpec):
 
 @dataclass(frozen=True)
 class DoublyRobust(CensoringSpec):
-    """Every begun stage has a pseudo-outcome (AIPCW), right if Ĝ is or if the outcome regression is (`imputation`).
+    """Every stage that began has a pseudo-outcome (AIPCW), right if Ĝ or the outcome regression is (`imputation`).
 
     Parameters
     ----------
     model, by, covariates, truncate_at
         As in `CensoringSpec`.
     outcome_covariates
-        What the outcome regression looks at: some of the covariates of a linear Q; None for all.
+        Covariates of the outcome regression: some of those of a linear Q; None for all.
     """
 
     outcome_covariates: Sequence[str] | None = None
@@ -46,29 +46,29 @@ class DoublyRobust(CensoringSpec):
     is_imputed = True
 
     def weights(self, trajectories: TrajectoryArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
-        """1 / Ĝ(U_{t−1}⁻) of each begun stage."""
+        """1 / Ĝ(U_{t−1}⁻) of each stage that began."""
         assert cut_model is not None
         return cut_model.begun_weights(trajectories.clocks)
 
 
 class _WithoutCutModel:
-    """No model of the cuts is fitted, so nothing is looked at for one."""
+    """No model of the cuts is fitted, so no data are gathered for one."""
 
     def looks_at(self, clocks: StageClocks) -> None:
-        """Nothing is fitted."""
+        """Return nothing: no model is fitted."""
 
     def fit_cuts(self, clocks: StageClocks) -> None:
-        """No model of the cuts is needed."""
+        """Return nothing: no model of the cuts is needed."""
 
 
 @dataclass(frozen=True)
 class BuckleyJames(_WithoutCutModel):
-    """No weights: what a cut stage would have brought is imputed by a regression alone (see `imputation`).
+    """No weights: the outcome of a cut stage is imputed by a regression alone (see `imputation`).
 
     Parameters
     ----------
     outcome_covariates
-        What the outcome regression looks at: some of the covariates of a linear Q; None for all.
+        Covariates of the outcome regression: some of those of a linear Q; None for all.
     """
 
     outcome_covariates: Sequence[str] | None = None
@@ -77,13 +77,13 @@ class BuckleyJames(_WithoutCutModel):
     is_imputed = True
 
     def weights(self, trajectories: TrajectoryArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
-        """1 for each begun stage."""
+        """1 for each stage that began."""
         return trajectories.is_begun.astype(np.float64)
 
 
 @dataclass(frozen=True)
 class Unweighted(_WithoutCutModel):
-    """Completed stages count alike, and cut ones not at all: biased where cuts are many, and the contrast to it."""
+    """Completed stages get equal weights and cut stages none: biased if many are cut; for comparison."""
 
     name = "none"
     is_imputed = False
@@ -98,11 +98,11 @@ Targets = Weighted | DoublyRobust | BuckleyJames | Unweighted
 
 BY_NAME: dict[str, Callable[[], Targets]] = {"buckley-james": BuckleyJames, "none": Unweighted}
 CENSORING_CHOICES = (*CENSORING_NAMES, *BY_NAME)
-"""Names that ``censoring`` takes."""
+"""Valid names for ``censoring``."""
 
 
 def targets_of(censoring: Targets | CensoringModel | str) -> Targets:
-    """Read what a user says of censoring: a name, a model of the cuts (weights by it), or the targets themselves."""
+    """Parse a user's censoring: a name, a model of the cuts (for weights), or the targets themselves."""
     if isinstance(censoring, Weighted | DoublyRobust | BuckleyJames | Unweighted):
         return censoring
     if isinstance(censoring, str) and censoring in BY_NAME:
@@ -125,7 +125,7 @@ def named_targets(
     is_doubly_robust: bool = False,
     outcome_covariates: Sequence[str] | None = None,
 ) -> Targets:
-    """Compose targets from plain settings, as a command line or a record on disk has them.
+    """Make targets from plain settings, as given on a command line or in a record on disk.
 
     Parameters
     ----------
@@ -134,9 +134,9 @@ def named_targets(
     by, covariates, truncate_at
         As in `CensoringSpec`.
     is_doubly_robust
-        `DoublyRobust`, and not `Weighted`.
+        Use `DoublyRobust` rather than `Weighted`.
     outcome_covariates
-        What the outcome regression looks at, where there is one.
+        Covariates of the outcome regression, if there is one.
     """
     if isinstance(censoring, str) and censoring in BY_NAME:
         of_weights = {"by": None if by == "trajectory" else by, "covariates": covariates, "truncate_at": truncate_at}

@@ -1,7 +1,7 @@
-"""What is decided: the seam between eq. 3, which runs on arrays, and the logs and policies of one kind of problem.
+"""The decision problem: the interface between eq. 3, which runs on arrays, and the logs and policies of one task.
 
-`NamedActions` is the task of named actions on plain covariates; `halfseen.tables` holds that of a table of objects. A
-task of one's own needs the names below and nothing else.
+`NamedActions` is the task of named actions on plain covariates; `halfseen.tables` has that of a table of objects. A
+custom task needs the names below and nothing else.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,90 +18,90 @@ from halfseen.shapes import Bool, Float, Int
 if TYPE_CHECKING:
     from halfseen.logs import Logs
 else:
-    Logs = Any  # Policies know what a task is, and load no log.
+    Logs = Any  # Policies use this module but load no log.
 
 AUTO: Literal["auto"] = "auto"
 
 ACTION = "action"
-"""Among the names of censoring covariates, this one stands for the action that was taken."""
+"""Name of the action taken, for use among the names of censoring covariates."""
 
 TASKS = {"table": "halfseen.tables.task:TableTask", "team": "halfseen.tables.task:TeamTask"}
-"""Tasks that have a name; they load where they are asked for."""
+"""Named tasks; each is loaded on first use."""
 
 
 class Encoded(NamedTuple):
-    """What the Q-functions look at, and what was done; stages that a trajectory does not have hold zeros."""
+    """Inputs of the Q-functions and actions taken; stages that a trajectory does not have hold zeros."""
 
     features: Float[np.ndarray, "n T A F"]
     is_possible: Bool[np.ndarray, "n T A"]
     action: Int[np.ndarray, "n T"]
     outcome: Float[np.ndarray, "n T Z"] | None = None
-    """What became of each stage, where the task's `reduce_variance` asks for more than the rest tells."""
+    """The outcome of each stage, if the task's `reduce_variance` needs more than the other arrays hold."""
     policy: Float[np.ndarray, "n T A"] | None = None
-    """π(a | S_t) of the policy whose Q is wanted, 0 or 1; None for the best one's."""
+    """π(a | S_t), 0 or 1, of the policy to evaluate; None for the optimal policy."""
 
     @property
     def taken(self) -> Float[np.ndarray, "n T F"]:
-        """Features of the action that was taken."""
+        """Features of the action taken."""
         return np.take_along_axis(self.features, self.action[..., None, None], axis=2)[:, :, 0]
 
 
 class RewardedStages(NamedTuple):
-    """What the stages of a log paid."""
+    """Rewards and weights of the stages of a log."""
 
     encoded: Encoded
     reward: Float[np.ndarray, "n T"]
-    """0 where not completed."""
+    """0 if not completed."""
     weight: Float[np.ndarray, "n T"]
-    """Of completed stages in eq. 3; 0 elsewhere."""
+    """Weight of completed stages in eq. 3; 0 elsewhere."""
     is_last: Bool[np.ndarray, "n T"]
-    """Completed stages after which a trajectory had come to its own end."""
+    """Completed stages with which a trajectory finished."""
 
 
 class LearnedQ(NamedTuple):
-    """Q-functions, or a batch of them, and what a policy needs beside them; T counts steps to go, one step first."""
+    """Q-functions, or a batch of them, and what a policy needs besides; T counts steps to go, one step first."""
 
     coefficients: Float[np.ndarray, "*B T K F"]
-    """The offset first."""
+    """The intercept first."""
     kernel_map: KernelMap | None = None
-    """Features of the RKHS; None where Q is linear."""
+    """Features of the RKHS; None if Q is linear."""
     is_seen: Bool[np.ndarray, "T K"] | None = None
-    """Blocks that have a value; None if all have."""
+    """Blocks that have a value; None if all have one."""
     margin: Float[np.ndarray, "*B T K F F"] | None = None
     """M of the lower confidence bound Q̂ − ‖Mᵀ (1, features)‖; None without pessimism."""
     behaviour: Float[np.ndarray, "K G"] | None = None
-    """Coefficients of the behaviour policy, which waives margins (`behaviour`); None where it is not known."""
+    """Coefficients of the behaviour policy, which reduces margins (`behaviour`); None if it is not known."""
     behaviour_weight: float = 0.0
-    """τ: what a nat of log b counts for beside Q (`behaviour`)."""
+    """τ: weight of a nat of log b relative to Q (`behaviour`)."""
 
 
 @runtime_checkable
 class Task(Protocol):
-    """How the logs of one kind of problem become arrays, and Q-functions a policy.
+    """How the logs of one kind of problem become arrays, and Q-functions become a policy.
 
-    A task that chooses something by the log may say what and why in `chosen`, a tuple of sentences. One whose features
-    tell the kinds of actions apart by themselves, so that one block of coefficients serves them all, says so by
-    `is_joint`; `block_names` are then the kinds. One that encodes a policy whose Q is wanted, which then draws nothing,
-    says so by `is_of_policy`.
+    A task may report choices that it makes from the log, and why, in `chosen`, a tuple of sentences. A task whose
+    features distinguish the kinds of actions, so that one block of coefficients serves them all, sets `is_joint`;
+    `block_names` then names the kinds. A task that encodes a policy to evaluate, whose actions are then not random,
+    sets `is_of_policy`.
     """
 
     @property
     def block_names(self) -> tuple[str, ...]:
-        """Name of each of the K blocks of coefficients: an action, or a verb."""
+        """Name of each of the K blocks of coefficients, e.g. an action or a verb."""
         ...
 
     @property
     def end_action(self) -> int | None:
-        """Action that ends a trajectory wherever it is taken, if there is one."""
+        """Action that ends a trajectory wherever it is taken; None if there is none."""
         ...
 
     @property
     def is_shared(self) -> bool:
-        """Whether every action of a state has the same features, apart by its block alone."""
+        """Whether all actions of a state have the same features and differ only by block."""
         ...
 
     def fitted(self, logs: Logs, horizon: int) -> "Task":
-        """Learn from a log, or a sample of its trajectories, what the features need; the task itself if nothing."""
+        """Fit what the features need to a log, or a sample of its trajectories; the task itself if nothing."""
         ...
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
@@ -123,21 +123,21 @@ class Task(Protocol):
         ...
 
     def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_trajectory: bool) -> Frame:
-        """What cuts may depend on, a row for each stage of the log; None for all."""
+        """Covariates that cuts may depend on, one row per stage of the log; `names` None for all."""
         ...
 
     def fitted_to_rewards(self, parts: Iterable["RewardedStages"]) -> "Task":
-        """Learn from a log in parts what `reduce_variance` needs of all of it; the task itself if nothing."""
+        """Fit what `reduce_variance` needs to a whole log, given in parts; return the task itself if nothing."""
         ...
 
     def reduce_variance(
         self, stages: RewardedStages
     ) -> tuple[Float[np.ndarray, "n T"], Float[np.ndarray, "n T Z"] | None]:
-        """Rewards of the same mean and less noise, and control variates of mean 0; as they are and None if unknown."""
+        """Rewards of equal mean and less noise, and control variates of mean 0; unchanged and None if unknown."""
         ...
 
     def policy(self, learned: LearnedQ) -> Any:
-        """Policy that follows Q-functions, or a batch of them, and takes what has a value."""
+        """Policy that follows Q-functions, or a batch of them, and takes only actions that have a value."""
         ...
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
@@ -146,13 +146,13 @@ class Task(Protocol):
         Raises
         ------
         ArgumentError
-            The policy decides nothing about such logs, or draws its actions and cannot say how.
+            The policy does not apply to such logs, or is random and cannot give its probabilities.
         """
         ...
 
 
 def named_task(name: str, **parameters: Any) -> Task:
-    """Make a task that has a name."""
+    """Make a task by its name."""
     if name not in TASKS:
         raise ArgumentError(f"task is {name!r}; it is {', '.join(map(repr, TASKS))}, or an object that is a Task")
     module, attribute = TASKS[name].split(":")
@@ -165,13 +165,13 @@ LAWS = {
 }
 """Learners that fit laws to the log, by the name of the task."""
 OF_LINEAR = {"q_function": AUTO, "stages": AUTO, "reg": "cv", "pessimism": AUTO, "half_life": None}
-"""Parameters of eq. 3 without laws; where one is given, that is what is wanted."""
+"""Parameters of eq. 3 without laws, with their defaults; giving one selects eq. 3 without laws."""
 
 
 def learner_of(name: str, plain: type, laws: str | None, parameters: Mapping[str, Any]) -> type:
-    """Choose who learns a task that has a name: with the help of laws, or by eq. 3 alone.
+    """Choose the learner of a named task: with the help of laws, or by eq. 3 alone.
 
-    That is where laws are None or something is said of it; what is said of laws where none help is refused.
+    Eq. 3 alone is chosen if `laws` is None or a parameter of it is given; an argument about laws is then refused.
     """
     if laws not in (AUTO, None):
         raise ArgumentError(f"laws is {laws!r}; it is 'auto', or None for eq. 3 without laws")

@@ -127,6 +127,30 @@ def moved(stream: Stream, at: int) -> str:
     return f"{stream.about} {'brings' if stream.kind == 'reward' else 'takes'} {word} {than} in the same states"
 
 
+BEYOND = 10.0
+"""Multiple of the largest possible total above which rewards must be in another unit."""
+
+
+def rewards_in_another_unit(brings: Any, logs: Logs) -> tuple[str, ...]:
+    """Report rewards far larger than the training log allows.
+
+    Parameters
+    ----------
+    brings
+        Smallest and largest possible total of a trajectory, by the training log; None if unknown.
+    logs
+        The log of the service.
+    """
+    if brings is None or not logs.is_finished.any():
+        return ()
+    finished = logs.trajectory_ids[logs.is_finished]
+    totals: Any = logs.stages.groupby("trajectory", sort=False)["reward"].sum().loc[finished].abs()
+    usual, most = float(totals.median()), float(np.abs(brings).max())
+    if most == 0.0 or usual <= BEYOND * most:
+        return ()
+    return (f"rewards are {OTHER_UNIT} unit: a trajectory brings about {usual:.3g}, and {most:.3g} was the most",)
+
+
 def input_words(promise: Any, logs: Logs, since: int) -> tuple[str, ...]:
     """Name covariates of the first stage that seem to be in another unit, swapped, or distributed differently.
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.errors import closest
+from halfseen.errors import LogError, closest
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 from halfseen.logs.columns import STEPPED_BACK, shown
@@ -44,6 +44,13 @@ def unknown_actions(policy: Any, logs: Logs) -> tuple[str, ...]:
     counts: Any = logs.stages["action"].value_counts()
     others = {action: int(count) for action, count in counts.items() if count and action not in policy.actions}
     return tuple(_not_known(shown(action), count, int(counts.sum()), policy) for action, count in others.items())
+
+
+def refuse_unknown_alone(policy: Any, logs: Logs) -> None:
+    """Refuse a log in which the policy knows none of the actions."""
+    names = logs.stages["action"].dropna().unique()
+    if len(names) and not set(names) & set(policy.actions):
+        raise LogError(f"none of its actions is the policy's. {unknown_actions(policy, logs)[0]}")
 
 
 def _not_known(action: str, count: int, num: int, policy: Any) -> str:

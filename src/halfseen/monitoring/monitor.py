@@ -1,8 +1,7 @@
 """Monitoring of a policy in service: its earnings against the promise, what has changed, and since when.
 
-Four families of bets and the sampling error of the promise share the 5 % probability of a false alarm in a whole
-lifetime: `ALPHAS` for the families, 0.5 % for the promise. The rewards of all actions get the most, since any harm
-shows there.
+Four families of bets and the sampling error of the promise share the 5 % false-alarm probability of a whole lifetime:
+`ALPHAS` for the families, 0.5 % for the promise. Rewards of all actions get the most, since any harm shows there.
 """
 
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ from halfseen.monitoring.answer import MEND_FIRST, Finding, Monitored, num_neede
 from halfseen.monitoring.betting import pair_payoffs
 from halfseen.monitoring.dealing import ARM, RULE
 from halfseen.monitoring.diagnosis import (
+    SWAPPED,
     ChangePoint,
     broken_parts,
     change_point,
@@ -30,11 +30,13 @@ from halfseen.monitoring.diagnosis import (
     input_words,
     is_misrecorded,
     moved,
+    rewards_in_another_unit,
 )
 from halfseen.monitoring.foreign import (
     in_known_categories,
     not_its_own,
     own_actions,
+    refuse_unknown_alone,
     unknown_actions,
     unknown_categories,
 )
@@ -110,6 +112,8 @@ def monitored(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Monitored:
     ------
     PolicyError
         The policy's folder keeps nothing of the training log.
+    LogError
+        The policy knows none of the log's actions.
     """
     bets = bets_of(stored, logs, seed)
     return concluded(stored, bets, betting.log_wealth(np.concatenate(list(bets.payoffs.values()), axis=1)))
@@ -149,6 +153,7 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     doubts, foreign = unknown_categories(looks_at, logs), ""
     if hasattr(policy, "decide") and isinstance(policy, NamedActionPolicy):
         doubts = (*unknown_actions(policy, logs), *doubts)
+        refuse_unknown_alone(policy, logs)
         foreign = not_its_own(policy, looks_at, logs, is_own)
     outcomes = None if foreign else _own_outcomes(stored, logs, is_own, promise, notes)
     if outcomes is not None and promise.get("value"):
@@ -177,9 +182,13 @@ def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n
     p_values = dict(zip(bets.payoffs, each, strict=True))
     findings = [one for family, p in p_values.items() for one in _findings(family, p, bets.streams, promise, outcomes)]
     findings.sort(key=lambda each: (each.alarm_at, each.p_value))
+    unit = rewards_in_another_unit(promise.get("brings"), logs)
+    if unit:
+        # Such rewards make all residuals large, whichever covariates are swapped.
+        findings = [each for each in findings if SWAPPED not in each.words] or findings
     causes: tuple[str, ...] = ()
     if findings:
-        causes = input_words(promise, logs, findings[0].since)
+        causes = (*unit, *input_words(promise, logs, findings[0].since))
         broken = broken_parts(promise, looks_at_of(stored.policy), logs, findings[0].since)
         causes += tuple(each for each in broken if not any(each.startswith(one) for one in causes))
     since = findings[0].since if findings else 1

@@ -2,7 +2,7 @@
 
 The times T_i may be right-censored; w_i are the inverse-probability-of-censoring weights.
 
-Read down, in the order of the work. What is minimised: `rows` (Y, of times that may be cut, w, and what is held out) →
-`losses` (L) → `kernels` (‖f‖), `nystrom` (when there are many rows). How: `newton` (smooth functions) → `solver` (all
-losses, and the duality gap). The estimators: `machine` (what both share) → `estimators`.
+The modules, in the order of the work. The objective: `rows` (targets Y, weights w, folds) → `losses` (L) → `kernels`
+(‖f‖) → `nystrom` (low rank, for many rows). The optimisation: `newton` (smooth functions) → `solver` (all losses, and
+the duality gap). The estimators: `machine` (the common base) → `estimators`.
 """

@@ -1,4 +1,4 @@
-"""The censored SVM behind scikit-learn's habits (paper, eqs. 1 and 2): regression, and classification."""
+"""The censored SVM as scikit-learn estimators (paper, eqs. 1 and 2): regression, and classification."""
 
 from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
@@ -22,15 +22,15 @@ from halfseen.shapes import Float
 
 @dataclass(eq=False, repr=False)
 class CensoredSVR(RegressorMixin, CensoredSVM):
-    """Support vector regression of Y(T) on covariates, where some times T are right-censored [GoldbergKosorok2017]_.
+    """Support vector regression of Y(T) on covariates, with some times T right-censored [GoldbergKosorok2017]_.
 
-    f = g + b minimises exactly
+    f = g + b is the exact minimiser of
 
         λ‖g‖² + (1/n) Σ_i w_i L(Y(T_i), f(Z_i)),   w_i = δ_i / Ĝ(T_i⁻ | Z_i)
 
-    over g in the kernel's space and, if `fit_intercept`, an unpenalised b (paper, eqs. 1 and 2). n counts all rows, the
-    cut ones too; with sample weights s_i it is Σ s_i and w_i becomes s_i w_i. With `tau` the target is Y(min(T, τ)) and
-    δ_i tells whether min(T_i, τ) was seen.
+    over g in the kernel's space and, with `fit_intercept`, an unpenalised b (paper, eqs. 1 and 2). n counts all rows,
+    including cut ones; with sample weights s_i, n is Σ s_i and w_i becomes s_i w_i. With `tau` the target is
+    Y(min(T, τ)), and δ_i is whether min(T_i, τ) was observed.
 
     Parameters
     ----------
@@ -50,26 +50,26 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
     gamma
         γ > 0; ``"scale"``: 1 / (F · variance of X); ``"cv"``: chosen with λ by cross-validation.
     degree, coef0
-        Of the polynomial kernel.
+        Parameters of the polynomial kernel.
     reg
         λ ≥ 0, or ``"cv"``: chosen by the weighted loss on held-out rows.
     fit_intercept
-        Whether there is a b.
+        Whether to fit b.
     num_landmarks
-        None: the exact kernel, n × n numbers; a number: a low-rank kernel by that many landmarks, for large n.
+        None: the exact kernel, n × n numbers; a number: a low-rank kernel with that many landmarks, for large n.
     censoring
-        ``"kaplan-meier"``, ``"cox"`` or ``"kernel"`` (both on X), ``"none"`` (rows that were seen count alike, which is
+        ``"kaplan-meier"``, ``"cox"`` or ``"kernel"`` (both on X), ``"none"`` (equal weights for observed rows, which is
         biased), or a `CensoringModel`, which is fitted again.
     truncate_at
         Largest 1/Ĝ allowed, if any.
     target
         Y: ``"identity"``, ``"log"``, or a function of an array of times.
     tau
-        τ [s]: times are restricted to min(T, τ); None for all of the time.
+        τ [s]: times are restricted to min(T, τ); None for unrestricted times.
     cv
         Number of folds, a scikit-learn splitter, or the splits.
     tol
-        Relative duality gap asked for.
+        Relative duality gap to reach.
     random_state
         Seed of folds and landmarks.
 
@@ -86,21 +86,20 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
     diagnostics_ : WeightDiagnostics
         Effective sample size, largest weight, proportion truncated.
     censoring_ : CensoringModel
-        Ĝ; None where nothing could be cut.
+        Ĝ; None if nothing can be cut.
     objective_, duality_gap_ : float
-        The objective, and the certificate: the optimum lies at most `duality_gap_` below. A `HalfseenWarning` says so
-        if that is more than `tol` of it.
+        The objective, and its certificate: the optimum is at most `duality_gap_` lower. A `HalfseenWarning` is issued
+        if the gap exceeds `tol` times the objective.
     cv_gammas_, cv_regs_ : Float[ndarray, "G"], Float[ndarray, "L"]
         Every γ and every λ tried, if they were chosen.
     cv_losses_ : Float[ndarray, "G L"]
-        Their weighted mean losses on held-out rows; ∞ where a fold had given up: its loss had risen a fifth above its
-        least.
+        Their weighted mean losses on held-out rows; ∞ where a fold was stopped because its loss had risen a fifth above
+        its minimum.
 
     Notes
     -----
-    scikit-learn asks that a row of weight 2 do what the same row does twice. That holds where nothing is dealt into
-    folds; with ``reg="cv"`` or ``gamma="cv"`` rows are dealt one by one, and a row that is there twice may be dealt
-    to two folds.
+    scikit-learn requires that a row of weight 2 is equivalent to two copies of the row. That holds without folds. With
+    ``reg="cv"`` or ``gamma="cv"`` rows are assigned to folds one by one, so two copies may be in different folds.
 
     Examples
     --------
@@ -130,18 +129,19 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
         Parameters
         ----------
         X
-            One row for each trajectory, shape (n, F), or n sets.
+            One row per trajectory, shape (n, F), or n sets.
         y
-            Times and whether they were seen: a structured array as scikit-survival has it (`survival_array` makes one),
+            Times and whether they were observed: a structured array as in scikit-survival (`survival_array` makes one),
             a frame with ``is_finished`` and ``time`` or ``time_s`` [s], or a tuple (time, is_finished). A plain column
-            of numbers is a target of which nothing was cut.
+            of numbers is an uncensored target.
         sample_weight
-            How many rows each one stands for in the objective, ≥ 0. Ĝ is fitted to those above 0, each once.
+            Number of rows that each row represents in the objective, ≥ 0. Ĝ is fitted to rows of positive weight, each
+            counted once.
 
         Raises
         ------
         ArgumentError
-            A parameter or a value is none that it can be; the row is named.
+            A parameter or a value is invalid; the message names the row.
         PositivityError
             All trajectories were cut, or a weight is not identified.
         """
@@ -154,20 +154,20 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
         Parameters
         ----------
         X
-            Rows asked about, shape (m, F), or m sets.
+            Rows to predict, shape (m, F), or m sets.
         """
         return self._values(X)
 
     def score(self, X: Any, y: Any, sample_weight: ArrayLike | None = None) -> float:
         """Proportion of the loss that f explains: 1 − Σ w L(Y, f) / Σ w L(Y, c), with c the best constant.
 
-        With the squared loss that is R². The weights come from the same kind of censoring model, fitted to the rows
-        that are scored.
+        With the squared loss this is R². The weights come from the same kind of censoring model, fitted to the scored
+        rows.
 
         Raises
         ------
         ArgumentError
-            Fewer than two rows were seen, or the targets do not differ, so that there is nothing to explain.
+            Fewer than two rows were observed, or all targets are equal.
         """
         f, ends = self._values(X), self._ends(y)
         values = self._targets(y, ends)
@@ -182,7 +182,7 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
         return float(1.0 - left / most)
 
     def _targets(self, y: Any, ends: Ends | None) -> Rows:
-        """Y of every row; what was cut gets a value that no weight will touch."""
+        """Y of every row; a cut row gets an arbitrary value, because its weight is 0."""
         time = column_or_1d(y, dtype=np.float64, warn=True) if ends is None else ends.time
         return target_values(time if self.tau is None else np.minimum(time, self.tau), self.target)
 
@@ -195,15 +195,15 @@ def _gives_probabilities(estimator: "CensoredSVC") -> bool:
 
 @dataclass(eq=False, repr=False)
 class CensoredSVC(ClassifierMixin, CensoredSVM):
-    """Support vector classification of 1{T ≤ τ}, T right-censored for some rows, or of labels [GoldbergKosorok2017]_.
+    """Support vector classification of 1{T ≤ τ}, with some T right-censored, or of labels [GoldbergKosorok2017]_.
 
-    f = g + b minimises exactly
+    f = g + b is the exact minimiser of
 
         λ‖g‖² + (1/n) Σ_i w_i L(Y_i, f(Z_i)),   w_i = δ_i / Ĝ(min(T_i, τ)⁻ | Z_i),   Y_i = +1 if T_i ≤ τ, else −1
 
-    over g in the kernel's space and, if `fit_intercept`, an unpenalised b (paper, eqs. 1 and 2). δ_i tells whether
-    min(T_i, τ) was seen: a trajectory that is cut at τ or later is known to be late. n counts all rows, the cut ones
-    too; with sample weights s_i it is Σ s_i and w_i becomes s_i w_i. For plain labels every w_i is 1.
+    over g in the kernel's space and, with `fit_intercept`, an unpenalised b (paper, eqs. 1 and 2). δ_i is whether
+    min(T_i, τ) was observed: a trajectory cut at τ or later is known to be late. n counts all rows, including cut ones;
+    with sample weights s_i, n is Σ s_i and w_i becomes s_i w_i. For plain labels every w_i is 1.
 
     Parameters
     ----------
@@ -215,13 +215,13 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
     tau
         τ [s]; None if y holds labels.
     calibrate
-        Whether `predict_proba` is fitted: a sigmoid of f on rows that were held out [Platt1999]_. It costs a fit for
-        each fold, or nothing if cross-validation has made them.
+        Whether to fit `predict_proba`: a sigmoid of f on held-out rows [Platt1999]_. It costs a fit for each fold, or
+        nothing if cross-validation has already made these fits.
 
     Attributes
     ----------
     classes_ : ndarray
-        The two classes; [False, True] for T ≤ τ. A value f > 0 speaks for the second.
+        The two classes; [False, True] for T ≤ τ. f > 0 predicts the second.
     sigmoid_ : Sigmoid
         The calibration.
     intercept_, function_, reg_, gamma_, weights_, diagnostics_, censoring_, objective_, duality_gap_, cv_gammas_, \
@@ -230,9 +230,9 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
 
     Notes
     -----
-    scikit-learn asks that a row of weight 2 do what the same row does twice. That holds where nothing is dealt into
-    folds; with ``reg="cv"``, ``gamma="cv"`` or ``calibrate=True`` rows are dealt one by one, and a row that is there
-    twice may be dealt to two folds.
+    scikit-learn requires that a row of weight 2 is equivalent to two copies of the row. That holds without folds. With
+    ``reg="cv"``, ``gamma="cv"`` or ``calibrate=True`` rows are assigned to folds one by one, so two copies may be in
+    different folds.
 
     Examples
     --------
@@ -259,17 +259,18 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         Parameters
         ----------
         X
-            One row for each trajectory, shape (n, F), or n sets.
+            One row per trajectory, shape (n, F), or n sets.
         y
-            With `tau`: times and whether they were seen, as in `CensoredSVR.fit`, or plain times. Without: two kinds of
-            labels.
+            With `tau`: times and whether they were observed, as in `CensoredSVR.fit`, or plain times. Without: labels
+            of two classes.
         sample_weight
-            How many rows each one stands for in the objective, ≥ 0. Ĝ is fitted to those above 0, each once.
+            Number of rows that each row represents in the objective, ≥ 0. Ĝ is fitted to rows of positive weight, each
+            counted once.
 
         Raises
         ------
         ArgumentError
-            A parameter or a value is none that it can be; the row is named.
+            A parameter or a value is invalid; the message names the row.
         PositivityError
             All trajectories were cut, or a weight is not identified.
         """
@@ -282,7 +283,7 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         return self
 
     def decision_function(self, X: Any) -> Rows:
-        """f(Z): positive where the second class is predicted."""
+        """f(Z); a positive value predicts the second class."""
         return self._values(X)
 
     def predict(self, X: Any) -> np.ndarray:
@@ -298,7 +299,7 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         return np.stack([1.0 - probability, probability], axis=1)
 
     def score(self, X: Any, y: Any, sample_weight: ArrayLike | None = None) -> float:
-        """Accuracy, weighted; the weights come from the rows that are scored."""
+        """Weighted accuracy; the weights come from the scored rows."""
         predicted, ends = self.predict(X), self._ends(y)
         truth = column_or_1d(y) if ends is None else self._is_early(ends)
         _, weights, _ = self._weigh(self._checked_rows(X, is_fit=False), sample_weight, ends, truth)
@@ -319,13 +320,13 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         return ends
 
     def _is_early(self, ends: Ends) -> RowMask:
-        """T ≤ τ; a trajectory that was cut at τ had not come to its end by then."""
+        """T ≤ τ; a trajectory cut at τ had not finished by then."""
         after_s = ends.time - (np.inf if self.tau is None else self.tau)
         tolerance_s = clock_tolerance_s(ends.time)
         return (after_s < -tolerance_s) | ((after_s <= tolerance_s) & ends.is_finished)
 
     def _targets(self, y: Any, ends: Ends | None) -> Rows:
-        """Name the classes, and give ±1, the second class as +1."""
+        """Name the classes; return ±1, with +1 for the second class."""
         labels = column_or_1d(y, warn=True) if ends is None else self._is_early(ends)
         if ends is None:
             check_classification_targets(labels)

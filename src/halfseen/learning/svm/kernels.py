@@ -1,18 +1,18 @@
-"""Kernels between rows of numbers, and between sets of objects: by name, their widths, and what one's own must pass.
+"""Kernels between rows of numbers and between sets of objects, their widths, and checks of user-defined kernels.
 
-A kernel takes n and m rows (or sets) and gives the (n, m) values of k; the same object twice gives an exactly symmetric
-matrix. scikit-learn's give the same values, and are what the tests compare with; its import takes longer than most
-fits. The Gaussian and the Laplacian kernel are bounded by 1, as the theory of the censored SVM asks (design, §2); the
-linear and the polynomial kernel are bounded only where the rows are.
+A kernel takes n and m rows (or sets) and returns the (n, m) values of k; if both arguments are the same object, the
+matrix is exactly symmetric. scikit-learn's kernels have the same values and serve as the reference in tests; importing
+them takes longer than most fits. The Gaussian and the Laplacian kernel are bounded by 1, as the theory of the censored
+SVM requires (design, §2); the linear and the polynomial kernel are bounded only on bounded rows.
 
-A set A, of scenes whose number of objects varies, is represented by the mean of its objects in the feature space of a
-kernel k₀ between objects,
+A set A of objects, whose number varies between scenes, is represented by the mean of its objects in the feature space
+of a kernel k₀ between objects,
 
     k(A, B) = 1/(|A|·|B|) Σ_{a∈A} Σ_{b∈B} k₀(a, b),
 
-which is a kernel again, bounded where k₀ is [GartnerFlachKowalczykSmola2002]_ [SmolaGrettonSongScholkopf2007]_. The
-mean knows in which shares the objects come and not how many they are; the sum knows both and is bounded only where
-the number of objects is. The empty set is the zero of that space: its k with everything is 0.
+which is again a kernel, bounded if k₀ is [GartnerFlachKowalczykSmola2002]_ [SmolaGrettonSongScholkopf2007]_. The mean
+depends on the proportions of the objects but not on their number; the sum depends on both and is bounded only if the
+number of objects is. The empty set is the zero of that space: its k with everything is 0.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -26,23 +26,23 @@ from halfseen.errors import ArgumentError
 from halfseen.shapes import Float
 
 Kernel: TypeAlias = Callable[[Any, Any], np.ndarray]
-"""Takes n and m rows (or sets), gives the (n, m) values of k."""
+"""Takes n and m rows (or sets) and returns the (n, m) values of k."""
 
 BLOCK_ENTRIES = 2**18
-"""Entries handled at once, so that they stay in the cache (2 MiB)."""
+"""Entries computed at once, so that they stay in the cache (2 MiB)."""
 
 SYMMETRY_TOLERANCE = 1e-8
 """Largest |k(x, z) − k(z, x)|, as a share of the largest |k|."""
 
 SMALLEST_VARIANCE = 1e-300
-"""Whose inverse, and some times that, is finite."""
+"""Smallest variance whose inverse, with some margin, is finite."""
 
 ROWS_OF_A_DIAGONAL = 32
-"""Rows of each small Gram matrix whose diagonal is read."""
+"""Rows of each small Gram matrix whose diagonal is used."""
 
 
 def row_blocks(num_rows: int, num_columns: int, block_entries: int = BLOCK_ENTRIES) -> Iterator[slice]:
-    """Slices that cover the rows, each of at most `block_entries` entries (and at least one row)."""
+    """Slices that cover the rows, each with at most `block_entries` entries (and at least one row)."""
     step = max(1, block_entries // max(num_columns, 1))
     for start in range(0, num_rows, step):
         yield slice(start, min(start + step, num_rows))
@@ -60,10 +60,10 @@ class VectorKernel:
     """"linear": x·z; "rbf": exp(−γ‖x − z‖²), the Gaussian kernel; "laplacian": exp(−γ‖x − z‖₁); "polynomial": (γ x·z +
     c)^d."""
     gamma: float | int = 1.0
-    """γ > 0 [1 / unit of the rows, squared but for "laplacian"]; "linear" doesn't read it."""
+    """γ > 0 [1 / unit of the rows, squared except for "laplacian"]; ignored by "linear"."""
     degree: float | int = 3
     coef0: float | int = 1.0
-    """Whole d ≥ 1 and c ≥ 0 of "polynomial", without which it is not positive semidefinite."""
+    """Integer d ≥ 1 and c ≥ 0 of "polynomial"; otherwise it is not positive semidefinite."""
 
     def __post_init__(self) -> None:
         if self.name not in KERNEL_NAMES:
@@ -93,14 +93,14 @@ class VectorKernel:
             return products
         base = self.gamma * products + self.coef0
         power = base.copy()
-        # Products, since powers of floats take ten times as long.
+        # Products, because powers of floats take ten times as long.
         for _ in range(int(self.degree) - 1):
             power *= base
         return power
 
     def _decay(self, first: Float[np.ndarray, "n F"], second: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "n m"]:
-        """exp(−γ·distance), of distances that do not cancel as ‖x‖² + ‖z‖² − 2 x·z does."""
-        # They take a quarter of a second to load.
+        """exp(−γ·distance), with distances that avoid the cancellation of ‖x‖² + ‖z‖² − 2 x·z."""
+        # This import takes a quarter of a second.
         from scipy.spatial.distance import cdist
 
         distance: Any = cdist(first, second, DISTANCES[self.name])
@@ -111,14 +111,14 @@ class VectorKernel:
 
 
 def named_kernel(kernel: str | Kernel, gamma: float | int, degree: float | int = 3, coef0: float | int = 1.0) -> Kernel:
-    """The `VectorKernel` of that name; a callable passes through, see `checked_gram`."""
+    """Return the `VectorKernel` of that name; a callable is returned unchanged (see `checked_gram`)."""
     return kernel if callable(kernel) else VectorKernel(kernel, gamma, degree, coef0)
 
 
 def checked_gram(
     kernel: Kernel, first: Sequence[Any] | np.ndarray, second: Sequence[Any] | np.ndarray
 ) -> Float[np.ndarray, "n m"]:
-    """kernel(first, second), refused where it is no part of a Gram matrix; one of rows with themselves is symmetric."""
+    """Check and return kernel(first, second); it must be symmetric if `first` is `second`."""
     shape = len(first), len(second)
     try:
         gram = np.asarray(kernel(first, second), dtype=np.float64)
@@ -162,20 +162,20 @@ def _check_symmetric(gram: Float[np.ndarray, "n n"]) -> None:
 
 
 def kernel_diagonal(kernel: Kernel, rows: Sequence[Any] | np.ndarray) -> Float[np.ndarray, " n"]:
-    """k(x, x) of each row, without the Gram matrix."""
+    """k(x, x) of each row, without the full Gram matrix."""
     blocks = [rows[few] for few in row_blocks(len(rows), 1, ROWS_OF_A_DIAGONAL)]
     return np.concatenate([np.zeros(0), *(np.diagonal(kernel(block, block)) for block in blocks)])
 
 
 def scale_gamma(rows: Float[np.ndarray, "n F"], counts: Rows | None = None) -> float:
-    """γ = 1/(F·variance of all values), scikit-learn's "scale"; 1 where nothing varies.
+    """γ = 1/(F·variance of all values), scikit-learn's "scale"; 1 if nothing varies.
 
     Parameters
     ----------
     rows
         Rows, or the objects of all sets.
     counts
-        How many rows each one stands for; one by default.
+        Number of rows that each row represents; 1 by default.
 
     Returns
     -------
@@ -189,32 +189,32 @@ def scale_gamma(rows: Float[np.ndarray, "n F"], counts: Rows | None = None) -> f
         variance = float(np.average(np.square(rows - mean).mean(axis=1), weights=counts))
     if not np.isfinite(variance):
         raise ArgumentError(f"the rows have the variance {variance}; give finite values whose squares are finite")
-    # The mean of equal values is rounded, and their variance with it.
+    # The mean of equal values is rounded, so their variance may be positive.
     rounding = float(8.0 * np.finfo(np.float64).eps * np.abs(rows).max()) ** 2
     return 1.0 if variance <= max(rounding, SMALLEST_VARIANCE) else 1.0 / (rows.shape[1] * variance)
 
 
 PAIRS_AT_ONCE = 2**22
-"""Values of k₀ that are held at once (32 MiB)."""
+"""Values of k₀ held at once (32 MiB)."""
 
 
 @dataclass(frozen=True)
 class SetKernel:
-    """Mean (or sum) over all pairs of objects of a kernel between objects.
+    """Mean (or sum) of a kernel between objects over all pairs of objects.
 
     Attributes
     ----------
     base
-        k₀: a name that `named_kernel` takes, or a callable.
+        k₀: a name accepted by `named_kernel`, or a callable.
     gamma, degree, coef0
         Parameters of k₀.
     pooling
-        "mean", or "sum" where the number of objects counts.
+        "mean", or "sum" if the number of objects matters.
 
     Raises
     ------
     ArgumentError
-        A parameter is none of a kernel.
+        A parameter is invalid.
     """
 
     base: str | Kernel = "rbf"
@@ -231,7 +231,7 @@ class SetKernel:
     def __call__(
         self, first: Sequence[Any] | np.ndarray, second: Sequence[Any] | np.ndarray
     ) -> Float[np.ndarray, "n m"]:
-        """Values of k for all pairs of sets, exactly symmetric where `first` is `second`.
+        """Values of k for all pairs of sets, exactly symmetric if `first` is `second`.
 
         Parameters
         ----------
@@ -241,7 +241,7 @@ class SetKernel:
         Raises
         ------
         ArgumentError
-            An element is no set; its row is named.
+            An element is not a set; the message names its row.
         """
         kernel = named_kernel(self.base, self.gamma, self.degree, self.coef0)
         (objects, pool), (others, other_pool) = (self._pooled(as_sets(sets)) for sets in (first, second))
@@ -267,17 +267,17 @@ class SetKernel:
 
 
 def as_sets(rows: Sequence[Any] | np.ndarray) -> np.ndarray:
-    """Checked sets, as an array of arrays.
+    """Check sets and return them as an array of arrays.
 
     Parameters
     ----------
     rows
-        Sets: a sequence of arrays of shape (number of objects, F); a set without objects may have any F.
+        Sets: a sequence of arrays of shape (number of objects, F); an empty set may have any F.
 
     Returns
     -------
     ndarray
-        Shape (n,), of float64 arrays: rows[indices] works as for numbers.
+        Shape (n,), of float64 arrays, so that rows[indices] works as for numbers.
     """
     sets = np.empty(len(rows), dtype=object)
     num_features = None
@@ -294,7 +294,7 @@ def as_sets(rows: Sequence[Any] | np.ndarray) -> np.ndarray:
 
 
 def all_objects(sets: np.ndarray) -> Float[np.ndarray, "objects F"]:
-    """The objects of all checked sets, one below the other."""
+    """The objects of all checked sets, stacked."""
     filled = [objects for objects in sets if len(objects)]
     return np.concatenate(filled) if filled else np.empty((0, 0))
 

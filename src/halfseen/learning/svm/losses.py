@@ -1,4 +1,4 @@
-"""Convex losses L(y, s) of a target y and a value s = f(z), each with what the solver and its certificate need.
+"""Convex losses L(y, s) of a target y and a value s = f(z), with the functions that the solver and its certificate use.
 
 ===========================  ==========================================================================================
 ``squared``                  (y − s)²
@@ -11,12 +11,13 @@
 ``logistic``                 log(1 + exp(−y s))
 ===========================  ==========================================================================================
 
-All but the last are one family (`PiecewiseLoss`). All functions work row by row. The solver sees a loss through its
-Moreau envelope of a step τ ≥ 0,
+All but the last are one family (`PiecewiseLoss`). All functions work row by row. The solver uses a loss through its
+Moreau envelope with step τ ≥ 0,
 
     e(v) = min_s L(y, s) + (s − v)² / (2 τ),
 
-which has a slope where L has a kink; with τ = 0 it is L itself, and *smooth* losses have a slope everywhere.
+which is differentiable even where L has a kink; with τ = 0 it is L itself. *Smooth* losses are differentiable
+everywhere.
 
 =========================  ============================================================================================
 ``value(y, s)``            L(y, s)
@@ -26,7 +27,7 @@ which has a slope where L has a kink; with τ = 0 it is L itself, and *smooth* l
 ``is_of_difference``       whether L(y, s) depends on y − s only
 =========================  ============================================================================================
 
-Of a loss of the user's own the rest is worked out from its value, and a proximal step or a derivative::
+For a user-defined loss the rest is computed from its value and a proximal step or a derivative::
 
     class LogCosh:                                   # any object will do
         def value(self, y, s): ...                   # L(y, s), convex in s, row by row
@@ -48,33 +49,33 @@ REGRESSION = ("squared", "absolute", "pinball", "epsilon-insensitive", "huber")
 CLASSIFICATION = ("hinge", "squared-hinge", "logistic")
 
 ON_THE_EDGE = 1e-9
-"""Subgradients that leave the domain of a conjugate by less than this are taken to lie on its edge."""
+"""Subgradients outside the domain of a conjugate by less than this are moved to its edge."""
 
 
 @dataclass(frozen=True)
 class PiecewiseLoss:
-    """0 between a low and a high edge; outside, slopes that grow with the distance x, x / softness, up to a limit.
+    """0 between a low and a high edge; outside, the slope is x / softness at distance x, up to a limit.
 
-    Its conjugate is high · t₊ − low · t₋ + ½ softness t² for −down ≤ t ≤ up, and its envelope of a step is the loss
-    whose softness is larger by that step.
+    Its conjugate is high · t₊ − low · t₋ + ½ softness t² for −down ≤ t ≤ up. Its envelope is the same loss with the
+    step added to the softness.
     """
 
     up: float = 1.0
     down: float = 1.0
-    """Largest slopes > 0 above and below; ∞ needs a softness."""
+    """Largest slopes > 0 above and below; ∞ requires positive softness."""
     softness: float = 0.0
-    """≥ 0; with 0 the slopes are at once the largest."""
+    """≥ 0; with 0 the slopes are constant."""
     epsilon: float | int = 0.0
     """The edges are y − ε and y + ε."""
     is_of_difference: bool = True
-    """Else y = ±1, and the only edge is y: nothing is lost where y s ≥ 1."""
+    """Otherwise y = ±1, and the only edge is y: the loss is 0 where y s ≥ 1."""
 
     @property
     def is_smooth(self) -> bool:
         return self.softness > 0.0
 
     def edges(self, y: Rows) -> tuple[Rows, Rows]:
-        """Low and high edge of each row, ∓∞ where there is none."""
+        """Low and high edge of each row; ∓∞ if there is none."""
         if self.is_of_difference:
             return y - self.epsilon, y + self.epsilon
         return np.where(y > 0, y, -np.inf), np.where(y > 0, np.inf, y)
@@ -103,7 +104,7 @@ class PiecewiseLoss:
     def conjugate(self, y: Rows, t: Rows) -> Rows:
         low, high = self.edges(y)
         has_low, has_high = np.isfinite(low), np.isfinite(high)
-        # An edge at infinity has no slope, and 0 · ∞ is 0 here.
+        # An infinite edge has no slope, so 0 · ∞ is 0 here.
         of_edges = np.maximum(t, 0.0) * np.where(has_high, high, 0.0) + np.minimum(t, 0.0) * np.where(has_low, low, 0.0)
         lowest, highest = np.where(has_low, -self.down, 0.0), np.where(has_high, self.up, 0.0)
         return _within(of_edges + 0.5 * self.softness * t**2, t, lowest, highest)
@@ -111,7 +112,7 @@ class PiecewiseLoss:
 
 @dataclass(frozen=True)
 class Logistic:
-    """log(1 + exp(−y s)), y = ±1; no step is taken, as it is smooth."""
+    """log(1 + exp(−y s)), y = ±1; it is smooth, so it needs no envelope."""
 
     is_smooth: ClassVar[bool] = True
     is_of_difference: ClassVar[bool] = False
@@ -168,7 +169,7 @@ NUDGE = 1e-6
 
 @dataclass(frozen=True)
 class OwnLoss:
-    """A user's loss with all that the solver and its certificate need."""
+    """A user-defined loss with all functions that the solver and its certificate need."""
 
     own: Any
     """An object with ``value(y, s)`` and ``proximal(y, v, step)`` or ``derivative(y, s)``."""
@@ -187,9 +188,9 @@ class OwnLoss:
         return (1.0 - np.clip(rise / (2.0 * nudge), 0.0, 1.0)) / step
 
     def conjugate(self, y: Rows, t: Rows) -> Rows:
-        # sup_s t s − L(y, s), by proximal steps that double: they run off where there is no finite one.
+        # sup_s t s − L(y, s), by proximal steps of doubling size; they diverge if the supremum is infinite.
         s, step = np.zeros_like(t), 1.0
-        # Out there a user's exponentials may overflow.
+        # A user's exponentials may overflow there.
         with np.errstate(over="ignore", invalid="ignore"):
             for _ in range(ASCENTS):
                 s, step = self.proximal(y, s + step * t, step), min(2.0 * step, 1e8)
@@ -199,8 +200,8 @@ class OwnLoss:
     def proximal(self, y: Rows, v: Rows, step: float) -> Rows:
         """argmin_s L(y, s) + (s − v)² / (2 step).
 
-        By the derivative it is where s + step · L'(y, s) = v: the left side rises, and s is between v and
-        v − step · L'(y, v).
+        With a derivative it is the solution of s + step · L'(y, s) = v: the left side is increasing, and s is between v
+        and v − step · L'(y, v).
         """
         if hasattr(self.own, "proximal"):
             return np.asarray(self.own.proximal(y, v, step), dtype=np.float64)
@@ -214,7 +215,7 @@ class OwnLoss:
 
 
 def own_loss(own: Any, y: Rows) -> Loss:
-    """Take a loss of the library as it is, and a user's after a trial on the targets."""
+    """Return a loss of the library unchanged, and a user-defined one after a test on the targets."""
     if isinstance(own, PiecewiseLoss | Logistic):
         return own
     if not hasattr(own, "value") or not (hasattr(own, "proximal") or hasattr(own, "derivative")):

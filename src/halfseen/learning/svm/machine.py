@@ -1,4 +1,4 @@
-"""What both estimators share: rows and their weights → the choice of λ and γ → one fit, with its certificate."""
+"""The common base of both estimators: weighted rows → the choice of λ and γ → one fit, with its certificate."""
 
 import warnings
 from collections.abc import Callable
@@ -25,21 +25,21 @@ from halfseen.progress import Progress
 from halfseen.shapes import Float
 
 REGS = np.logspace(0, -7, 8)
-"""The λ that ``reg="cv"`` chooses from, in units in which the target's scale does not matter (`_reg_unit`)."""
+"""The λ that ``reg="cv"`` chooses from, in units that make the target's scale irrelevant (`_reg_unit`)."""
 
 WIDTHS = 4.0 ** np.arange(-2, 3)
 """The γ that ``gamma="cv"`` chooses from, in units of `scale_gamma`."""
 
 MOST_LANDMARKS_ADVISED = 1000
-"""More landmarks rarely change a fit, and their cost grows with the square."""
+"""More landmarks rarely change a fit, and their cost grows quadratically."""
 
 CONTAINER_LIMIT = Path("/sys/fs/cgroup/memory.max")
-"""Inside a container, the machine's memory is told, not the container's."""
+"""The container's memory limit; other interfaces report the memory of the whole machine."""
 
 
 @dataclass(eq=False, repr=False)
 class CensoredSVM(BaseEstimator):
-    """Base of `CensoredSVR` and `CensoredSVC`; the parameters are theirs."""
+    """Base of `CensoredSVR` and `CensoredSVC`, which document the parameters."""
 
     _losses: ClassVar[tuple[str, ...]]
     _loss_parameters: ClassVar[tuple[str, ...]] = ()
@@ -105,7 +105,7 @@ class CensoredSVM(BaseEstimator):
         return rows
 
     def _ends(self, y: Any) -> Ends | None:
-        """Observed ends, if y is made of times that may be cut."""
+        """Observed ends, if y holds times that may be cut."""
         return as_ends(y)
 
     def _targets(self, y: Any, ends: Ends | None) -> Rows:
@@ -113,12 +113,12 @@ class CensoredSVM(BaseEstimator):
         raise NotImplementedError
 
     def _check_seen(self, targets: Rows) -> None:
-        """Refuse rows of positive weight that tell nothing."""
+        """Refuse observed rows that do not determine a fit."""
 
     def _weigh(
         self, rows: np.ndarray, sample_weight: Any, ends: Ends | None, targets: np.ndarray
     ) -> tuple[Rows, Rows, CensoringModel | None]:
-        """How many rows each one stands for, its weight, and the censoring model that gave it."""
+        """Number of rows that each row represents, its weight, and the censoring model of the weights."""
         numbers = np.zeros((len(rows), 1))
         counts = _check_sample_weight(sample_weight, numbers, dtype=np.float64, ensure_non_negative=True)
         if len(rows) != len(targets):
@@ -126,12 +126,12 @@ class CensoredSVM(BaseEstimator):
         return counts, *row_weights(ends, rows, counts, self.censoring, self.tau, self.truncate_at)
 
     def _fit(self, X: Any, y: Any, sample_weight: Any) -> tuple[Problem, Float[np.ndarray, " seen"] | None]:
-        """Weigh every row, tell how much evidence that leaves, and fit f to those of positive weight.
+        """Weigh every row, report the effective sample size, and fit f to the rows of positive weight.
 
         Returns
         -------
         tuple
-            As `_fit_function` has it.
+            As returned by `_fit_function`.
         """
         self._check_parameters()
         rows, ends = self._checked_rows(X, is_fit=True), self._ends(y)
@@ -153,7 +153,7 @@ class CensoredSVM(BaseEstimator):
         Returns
         -------
         tuple
-            The problem that was solved, and f of its rows by cross-validation's fits, if there were any.
+            The problem that was solved, and f of its rows by the fits of cross-validation, if there were any.
         """
         seen = np.flatnonzero(self.weights_)
         kept, y, mass = rows[seen], y[seen], self.weights_[seen] / counts.sum()
@@ -189,7 +189,7 @@ class CensoredSVM(BaseEstimator):
         regs: Float[np.ndarray, " L"],
         folds: list[Fold],
     ) -> Rows:
-        """Try every γ and λ, the largest λ first, and take the first of the least loss; give its f on rows held out."""
+        """Try every γ and λ, the largest λ first; return the first with the smallest loss, and its held-out f."""
         self.cv_gammas_, self.cv_regs_, self.cv_losses_ = gammas, regs, np.full((len(gammas), len(regs)), np.inf)
         held_out, least = np.zeros(0), np.inf
         with Progress(len(gammas) * len(folds), "cross-validation", "folds") as bar:
@@ -213,7 +213,7 @@ class CensoredSVM(BaseEstimator):
         return scale * WIDTHS if self.gamma == "cv" else np.array([scale])
 
     def _space(self, kept: np.ndarray, gamma: float) -> tuple[Space, Callable[[Coefficients], Nystrom]]:
-        """Rows as the solver sees them, and what makes a function of its coefficients."""
+        """Rows in the form for the solver, and the constructor of a function from its coefficients."""
         is_set = self.kernel == "set"
         kernel = SetKernel("rbf", gamma) if is_set else named_kernel(self.kernel, gamma, self.degree, self.coef0)
         if self.num_landmarks is not None:
@@ -256,7 +256,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _reg_unit(y: Rows, weight: Rows, loss: Loss) -> float:
-    """The loss that the best constant leaves, over the targets' variance: λ in this unit knows no unit of y."""
+    """Loss of the best constant divided by the variance of the targets; λ in this unit does not depend on that of y."""
     share = weight / weight.sum()
     mean = float(share @ y)
     variance, left = float(share @ np.square(y - mean)), float(share @ loss.value(y, np.full_like(y, mean)))
@@ -264,7 +264,7 @@ def _reg_unit(y: Rows, weight: Rows, loss: Loss) -> float:
 
 
 def _refuse_dependent(rows: Float[np.ndarray, "n F"], has_offset: bool) -> None:
-    """Refuse columns that are combinations of one another, where λ = 0 would leave many functions alike."""
+    """Refuse linearly dependent columns, for which λ = 0 has no unique solution."""
     columns = np.column_stack([rows, np.ones(len(rows))]) if has_offset else rows
     lengths = np.linalg.norm(columns, axis=0)
     rank = int(np.linalg.matrix_rank(columns / np.where(lengths > 0.0, lengths, 1.0)))
@@ -276,9 +276,9 @@ def _refuse_dependent(rows: Float[np.ndarray, "n F"], has_offset: bool) -> None:
 
 
 def check_gram_fits(num_rows: int, available_bytes: int | None = None) -> None:
-    """Refuse n × n matrices, three of which are held at once, that would not fit in the free memory [B].
+    """Refuse n × n matrices, three of which are held at once, that do not fit in the free memory [B].
 
-    The message says how many landmarks would.
+    The message says how many landmarks would fit.
     """
     free = free_bytes() if available_bytes is None else available_bytes
     needed = 3 * 8 * num_rows**2
@@ -293,14 +293,14 @@ def check_gram_fits(num_rows: int, available_bytes: int | None = None) -> None:
 
 
 def advised_landmarks(num_rows: int, available_bytes: int) -> int:
-    """Landmarks whose features take at most half of the memory [B], one digit and zeros; 0 where none fits."""
+    """Landmarks whose features take at most half of the memory [B], rounded to one digit and zeros; 0 if none fits."""
     most = min(MOST_LANDMARKS_ADVISED, num_rows, available_bytes // (2 * 8 * max(num_rows, 1)))
     unit = 10 ** (len(str(most)) - 1)
     return int(most // unit * unit)
 
 
 def free_bytes() -> int:
-    """Memory that can be taken without swapping [B], by the machine and by the container's limit."""
+    """Memory available without swapping [B], by the machine and by the container's limit."""
     available = psutil.virtual_memory().available
     limit = CONTAINER_LIMIT.read_text().strip() if CONTAINER_LIMIT.exists() else "max"
     return available if limit == "max" else min(available, int(limit))

@@ -1,9 +1,9 @@
 """Minimise λ‖g‖² + Σ_i φ_i(g_i + b) over g in H and an offset b, φ convex with a (semismooth) derivative.
 
-Newton steps with an exact search along each: where φ is piecewise quadratic, as it is for all losses here but the
-logistic one, the last step is exact and few are needed [QiSun1993]_. Rows are seen in one of two ways: `Gram`, by the
-values of the kernel between them, g = K α, or `Features`, g = Φ θ and ‖g‖² = θᵀθ. Of Σ φ_i(f_i) they are told the
-*pull* of each row, −∂φ_i/∂f_i, how hard it pulls its value up, and the curvature ∂²φ_i/∂f_i².
+Newton steps with an exact line search: if φ is piecewise quadratic, as for all losses here but the logistic one, the
+last step is exact and few are needed [QiSun1993]_. Rows are represented in one of two ways: `Gram`, by the kernel
+values between them, g = K α, or `Features`, g = Φ θ and ‖g‖² = θᵀθ. From Σ φ_i(f_i) they need the *pull* of each row,
+−∂φ_i/∂f_i, which is the force that raises its value, and the curvature ∂²φ_i/∂f_i².
 """
 
 from collections.abc import Callable
@@ -20,38 +20,38 @@ from halfseen.shapes import Float, Int
 
 Coefficients = Float[np.ndarray, " c"]
 Step: TypeAlias = Callable[[Coefficients, Rows], tuple[Coefficients, float]]
-"""Takes coefficients and pulls, gives the change of the coefficients and of the offset."""
+"""Takes coefficients and pulls, returns the change of the coefficients and of the offset."""
 
 MAX_STEPS = 200
 PATIENCE = 20
-"""Steps without a smaller promise after which rounding is taken to have the last word."""
+"""Steps without a smaller predicted decrease after which rounding is assumed to dominate."""
 FORESEEN = 1e-12
 NEGLIGIBLE = 1e-12
-"""Curvatures below this share of the largest are taken for none."""
+"""Curvatures below this share of the largest count as zero."""
 JITTER = 1e-13
 FEATURES_AT_ONCE = 2**22
 SINGLE_FROM = 300
-"""Rows from which a system is factored in single precision, which takes half the time."""
+"""Rows from which a system is factorised in single precision, which takes half the time."""
 REFINED, MOST_REFINEMENTS = 1e-6, 4
-"""What a solution in single precision may miss, as a share of the right side, and how many it must get there by."""
+"""Largest relative residual of a solution in single precision, and the most refinements to reach it."""
 
 
 @dataclass(frozen=True)
 class Gram:
     """g = Σ_i α_i k(z_i, ·), λ > 0; K need not be of full rank.
 
-    The optimality condition 2 λ α = p is kept in this form, without a factor K. Rows without curvature are solved at
-    once, α_i = p_i / 2λ; the others, A, solve (K_AA + 2 λ D_A⁻¹) Δα_A + Δb = …, whose matrix is as large as A only.
+    The optimality condition 2 λ α = p is kept in this form, without a factor K. Rows without curvature are solved
+    directly, α_i = p_i / 2λ; the others, A, solve (K_AA + 2 λ D_A⁻¹) Δα_A + Δb = …, a system only as large as A.
     """
 
     matrix: Float[np.ndarray, "n n"]
 
     def part(self, rows: Int[np.ndarray, " r"]) -> "Gram":
-        """The space that some of the rows span."""
+        """The space spanned by some of the rows."""
         return Gram(self.between(rows, rows))
 
     def between(self, rows: Int[np.ndarray, " r"], fitted: Int[np.ndarray, " s"]) -> Float[np.ndarray, "r c"]:
-        """What gives the values of g at some rows, of its coefficients in the `part` of others."""
+        """The matrix that maps coefficients in the `part` of some rows to the values of g at others."""
         return self.matrix[np.ix_(rows, fitted)]
 
     def inner(self, coefficients: Coefficients, others: Coefficients, other_values: Rows) -> float:
@@ -59,11 +59,11 @@ class Gram:
         return float(coefficients @ other_values)
 
     def squared_norm(self, forces: Rows) -> float:
-        """Of Σ_i forces_i k(z_i, ·)."""
+        """‖Σ_i forces_i k(z_i, ·)‖²."""
         return float(forces @ self.matrix @ forces)
 
     def newton(self, curvature: Rows, reg: float, has_offset: bool, negligible: float = NEGLIGIBLE) -> Step:
-        """Factor the equations of a step."""
+        """Factorise the equations of a step."""
         curved = np.flatnonzero(curvature > negligible * curvature.max(initial=0.0))
         ridge = 2.0 * reg / curvature[curved]
         is_whole = len(curved) == len(self.matrix)
@@ -131,14 +131,14 @@ Space: TypeAlias = Gram | Features
 
 
 def _solver(matrix: Float[np.ndarray, "k k"], ridge: Rows) -> Callable[[Rows], Rows]:
-    """Solve (K + diag ρ) x = r, by a factor in single precision and refinement in double where that gets there."""
+    """Solve (K + diag ρ) x = r, by a factor in single precision with refinement in double if that converges."""
     system = matrix.copy()
     system[np.diag_indices_from(system)] += ridge
     single = None
     if len(ridge) >= SINGLE_FROM:
-        # What is too large for single precision becomes infinite, and is missed.
+        # Values too large for single precision become infinite, so the residual test fails.
         with np.errstate(over="ignore"), suppress(np.linalg.LinAlgError):
-            # LAPACK counts by columns, and to it the rows of a symmetric matrix are as good: nothing is copied.
+            # LAPACK is column-major; the transpose of a symmetric matrix avoids a copy.
             columns = system.astype(np.float32).T
             single = scipy.linalg.cho_factor(columns, lower=True, overwrite_a=True, check_finite=False)
     double = cache(lambda: factored(system))
@@ -149,7 +149,7 @@ def _solver(matrix: Float[np.ndarray, "k k"], ridge: Rows) -> Callable[[Rows], R
         solved, missed = np.zeros(len(right)), right / size
         for _ in range(MOST_REFINEMENTS if single is not None else 0):
             solved += scipy.linalg.cho_solve(single, missed.astype(np.float32), check_finite=False)
-            # What is missed shrinks by one rate, so this correction needs no look.
+            # The residual shrinks at a constant rate, so this correction needs no check.
             if rate * np.abs(missed).max() <= REFINED:
                 return size * solved
             missed = right / size - system @ solved
@@ -161,9 +161,9 @@ def _solver(matrix: Float[np.ndarray, "k k"], ridge: Rows) -> Callable[[Rows], R
 
 
 def factored(system: Float[np.ndarray, "k k"]) -> tuple[Float[np.ndarray, "k k"], bool]:
-    """Factor a positive semidefinite system, which is changed, for `scipy.linalg.cho_solve`.
+    """Factorise a positive semidefinite system in place, for `scipy.linalg.cho_solve`.
 
-    A direction that it does not see gets as much curvature as rounding has.
+    Directions of zero curvature get curvature of the size of rounding.
     """
     jitter = JITTER * system.diagonal().max(initial=0.0)
     while True:
@@ -176,7 +176,7 @@ def factored(system: Float[np.ndarray, "k k"]) -> tuple[Float[np.ndarray, "k k"]
 
 @dataclass(frozen=True)
 class Point:
-    """A candidate, or a move: the coefficients of g, the values g_i, and the offset b."""
+    """A candidate or a step: the coefficients of g, the values g_i, and the offset b."""
 
     coefficients: Coefficients
     values: Rows
@@ -184,11 +184,11 @@ class Point:
 
     @property
     def f(self) -> Rows:
-        """Values of f = g + b on the rows."""
+        """Values of f = g + b at the rows."""
         return self.values + self.offset
 
     def plus(self, share: float, move: "Point") -> "Point":
-        """The point a share of a move farther."""
+        """The point plus a fraction of a step."""
         return Point(
             self.coefficients + share * move.coefficients,
             self.values + share * move.values,
@@ -198,9 +198,9 @@ class Point:
 
 @no_type_check
 def minimise(space: Space, total: Any, reg: float, has_offset: bool, point: Point, tolerance: float) -> Point:
-    """Minimise from a point on; stop when a Newton step promises less than `tolerance`.
+    """Minimise from a starting point; stop when a Newton step predicts a decrease below `tolerance`.
 
-    `total` tells ``pull(f)`` and ``curvature(f)`` of Σ φ_i(f_i).
+    `total` provides ``pull(f)`` and ``curvature(f)`` of Σ φ_i(f_i).
     """
     least, in_vain = np.inf, 0
     for _ in range(MAX_STEPS):
@@ -217,7 +217,7 @@ def minimise(space: Space, total: Any, reg: float, has_offset: bool, point: Poin
             break
         share = _lowest(slope, 1.0, 0.1 * promise)
         point = point.plus(share, move)
-        # A whole step through which the pulls changed as their curvatures said went all the way to the minimum.
+        # A full step along which the pulls changed exactly as the curvatures predicted has reached the minimum.
         error = np.abs(total.pull(point.f) - pull + curvature * move.f).max(initial=0.0)
         if share == 1.0 and error <= FORESEEN * np.abs(pull).max(initial=0.0):
             break
@@ -226,7 +226,7 @@ def minimise(space: Space, total: Any, reg: float, has_offset: bool, point: Poin
 
 @no_type_check
 def _slope_along(space: Space, total: Any, reg: float, point: Point, move: Point) -> Callable[[float], float]:
-    """The derivative of the objective along a move, which only rises."""
+    """The derivative of the objective along a step, which is increasing."""
     linear = 2.0 * reg * space.inner(point.coefficients, move.coefficients, move.values)
     quadratic = 2.0 * reg * space.inner(move.coefficients, move.coefficients, move.values)
     start, way = point.f, move.f
@@ -235,7 +235,7 @@ def _slope_along(space: Space, total: Any, reg: float, point: Point, move: Point
 
 @no_type_check
 def _with_balanced_offset(total: Any, point: Point) -> Point:
-    """Move the offset alone, to where the rows' pulls cancel."""
+    """Change only the offset, to where the pulls of the rows cancel."""
     start, way = point.f, np.sign(total.pull(point.f).sum())
 
     def slope(distance):
@@ -249,7 +249,7 @@ def _with_balanced_offset(total: Any, point: Point) -> Point:
 
 @no_type_check
 def _lowest(slope: Callable[[float], float], high: float, enough: float) -> float:
-    """Where a slope that rises is 0 within `enough`, by bisection from 0 to `high`; `high` where it is not yet."""
+    """Root of an increasing slope within `enough`, by bisection from 0 to `high`; `high` if there is none."""
     if slope(high) <= enough:
         return high
     low, middle = 0.0, 0.5 * high

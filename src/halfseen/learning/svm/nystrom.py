@@ -1,8 +1,8 @@
 """A low-rank kernel: features Φ with ΦΦᵀ ≈ K, from a few landmark rows [WilliamsSeeger2000]_.
 
-The landmarks are drawn one after the other with a probability proportional to what the earlier ones leave unexplained
-of k(x, x): randomly pivoted Cholesky [ChenEpperlyTroppWebber2025]_, here in blocks with rejection, which draws from the
-same distribution [EpperlyTroppWebber2025]_.
+The landmarks are drawn one after the other, with probability proportional to the part of k(x, x) that the earlier ones
+leave unexplained: randomly pivoted Cholesky [ChenEpperlyTroppWebber2025]_, here in blocks with rejection, which draws
+from the same distribution [EpperlyTroppWebber2025]_.
 
 =========  =============================================================
 Here       There
@@ -26,12 +26,12 @@ from halfseen.learning.svm.kernels import Kernel, checked_gram, kernel_diagonal,
 from halfseen.shapes import Float, Int
 
 MOST_CANDIDATES = 20_000
-"""Rows among which landmarks are sought, where the landmarks are not many; a random sample of larger logs."""
+"""Rows among which landmarks are drawn, if these are not many; a random sample of larger logs."""
 
 CANDIDATES_A_LANDMARK = 10
 
 ROWS_CHECKED = 32
-"""Rows on which a kernel must first look like one."""
+"""Rows on which the kernel is first checked."""
 
 MOST_PROPOSALS = 128
 """Landmarks proposed at once."""
@@ -39,29 +39,29 @@ MOST_PROPOSALS = 128
 PROPOSALS_A_LANDMARK = 4
 
 RESIDUAL_TOLERANCE = 1e-12
-"""A row whose residual is below this share of the largest k(x, x) is explained: nothing more is to be had from it."""
+"""A row whose residual is below this share of the largest k(x, x) counts as explained."""
 
 NEGATIVE_TOLERANCE = 1e-8
-"""A residual this far below 0, as a share of the largest k(x, x), is no rounding."""
+"""A residual this far below 0, as a share of the largest k(x, x), is not rounding."""
 
 FEATURES_AT_ONCE = 2**22
-"""Entries of K(rows, landmarks) that are held at once (32 MiB)."""
+"""Entries of K(rows, landmarks) held at once (32 MiB)."""
 
 
 @dataclass(frozen=True)
 class Nystrom:
-    """Sums of the kernel with landmarks: features φ(x) = Rᵀ k(landmarks, x), so that φ(x)·φ(z) ≈ k(x, z)."""
+    """Kernel expansion at landmarks: features φ(x) = Rᵀ k(landmarks, x), so that φ(x)·φ(z) ≈ k(x, z)."""
 
     kernel: Kernel
     """k."""
     landmarks: np.ndarray
     """Shape (m, F), or (m,) of sets."""
     projection: Float[np.ndarray, "m ..."]
-    """R, shape (m, r): R Rᵀ is the inverse of k between landmarks, without the directions that they don't span. Or
-    shape (m,), for one function instead of features."""
+    """R, shape (m, r): R Rᵀ is the inverse of k between landmarks, without directions in which k is singular. Or shape
+    (m,), for one function instead of features."""
 
     def transform(self, rows: Sequence[Any] | np.ndarray) -> Float[np.ndarray, "n ..."]:
-        """Φ of n rows or sets, in blocks: no second buffer of its size is needed."""
+        """Φ of n rows or sets, computed in blocks without a second buffer of its size."""
         features = np.empty((len(rows), *self.projection.shape[1:]))
         for few in row_blocks(len(rows), len(self.landmarks), FEATURES_AT_ONCE):
             np.matmul(self.kernel(rows[few], self.landmarks), self.projection, out=features[few])
@@ -74,7 +74,7 @@ class Nystrom:
         return features
 
     def function(self, coefficients: Float[np.ndarray, " r"]) -> "Nystrom":
-        """Σ_j coefficients_j φ_j, as a sum of kernels itself."""
+        """Σ_j coefficients_j φ_j, itself a kernel expansion."""
         return Nystrom(self.kernel, self.landmarks, self.projection @ coefficients)
 
 
@@ -88,9 +88,9 @@ def fit_nystrom(kernel: Kernel, rows: np.ndarray, num_landmarks: int, rng: np.ra
     rows
         Shape (n, F), or (n,) of sets.
     num_landmarks
-        m, at most; fewer serve where they explain all rows. With as many as there are rows, ΦΦᵀ is K.
+        Upper bound of m; fewer are used if they explain all rows. With as many as there are rows, ΦΦᵀ is K.
     rng
-        Draws the landmarks.
+        Generator that draws the landmarks.
     """
     if num_landmarks < 1:
         raise ArgumentError(f"num_landmarks is {num_landmarks}; give at least 1")
@@ -117,7 +117,7 @@ def _pivots(kernel: Kernel, rows: np.ndarray, num_landmarks: int, rng: np.random
         schur = kernel(rows[proposals], rows[proposals]) - known @ known.T
         accepted, lower = _accept(schur, residual[proposals], floor, factor.shape[1] - done, rng)
         if len(accepted) == 0:
-            # Rounding alone is left of those rows.
+            # The residual of these rows is only rounding.
             residual[proposals] = 0.0
             continue
         pivots = proposals[accepted]
@@ -140,7 +140,7 @@ def _pivots(kernel: Kernel, rows: np.ndarray, num_landmarks: int, rng: np.random
 def _accept(
     schur: Float[np.ndarray, "p p"], drawn_with: Float[np.ndarray, " p"], floor: float, most: int, rng: Any
 ) -> tuple[Int[np.ndarray, " a"], Float[np.ndarray, "a a"]]:
-    """Accept each proposal with probability residual / residual when drawn; and the Cholesky factor of the accepted."""
+    """Accept each proposal with probability residual / residual when drawn; return the Cholesky factor, too."""
     left, columns, accepted = schur.copy(), [], []
     uniform = rng.random(len(schur))
     for proposal in range(len(schur)):
@@ -157,7 +157,7 @@ def _accept(
 
 
 def inverse_root(gram: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "m r"]:
-    """R with R Rᵀ = K⁻¹ on the directions that K spans."""
+    """R with R Rᵀ = K⁻¹ on the range of K."""
     values, vectors = np.linalg.eigh(gram)
     is_spanned = values > len(values) * np.finfo(np.float64).eps * values.max(initial=0.0)
     return vectors[:, is_spanned] / np.sqrt(values[is_spanned])

@@ -1,9 +1,9 @@
-"""Rows of the estimators: what is predicted, how much each row counts, and which are held out.
+"""Rows of the estimators: their targets, their weights, and which are held out.
 
-*Targets.* Y is a known function of the time. Where it needs the time up to τ only, the event is that min(T, τ) was
-seen, so a trajectory that is cut after τ counts in full (design, §2). Rows weigh w = δ / Ĝ(min(T, τ)⁻ | z).
+*Targets.* Y is a known function of the time. If it needs the time up to τ only, the event is that min(T, τ) was
+observed, so a trajectory cut after τ counts fully (design, §2). Rows have weight w = δ / Ĝ(min(T, τ)⁻ | z).
 
-*Rows that are held out* choose λ and the kernel's width, and turn values f into probabilities [Platt1999]_.
+*Held-out rows* choose λ and the kernel's width, and turn values f into probabilities [Platt1999]_.
 """
 
 from collections.abc import Callable
@@ -27,26 +27,26 @@ from halfseen.shapes import Float, Int
 
 
 class Ends(NamedTuple):
-    """Observed ends of trajectories [s], and whether they are the trajectory's own; False where it was cut."""
+    """Observed ends of trajectories [s], and whether each trajectory finished; False if it was cut."""
 
     time: Rows
     is_finished: RowMask
 
 
 def survival_array(time: ArrayLike, is_finished: ArrayLike) -> np.ndarray:
-    """Times and whether they were seen as one structured array, which scikit-learn can split and shuffle.
+    """Times and whether they were observed as one structured array, which scikit-learn can split and shuffle.
 
     Parameters
     ----------
     time
         Observed end of each trajectory [s], shape (n,).
     is_finished
-        False where the trajectory was cut, shape (n,).
+        False if the trajectory was cut, shape (n,).
 
     Returns
     -------
     ndarray
-        Fields ``is_finished`` (bool) and ``time`` (float64), shape (n,), as scikit-survival has it.
+        Fields ``is_finished`` (bool) and ``time`` (float64), shape (n,), as in scikit-survival.
     """
     ends, finished = checked_ends(time, is_finished)
     array = np.empty(len(ends), dtype=[("is_finished", np.bool_), ("time", np.float64)])
@@ -55,13 +55,13 @@ def survival_array(time: ArrayLike, is_finished: ArrayLike) -> np.ndarray:
 
 
 def as_ends(y: Any) -> Ends | None:
-    """Read the ends of trajectories; None if `y` is a plain column of targets, of which nothing was cut.
+    """Read the ends of trajectories; None if `y` is a plain column of uncensored targets.
 
     Parameters
     ----------
     y
-        A structured array with one boolean field and one of times, as scikit-survival has it; a frame with the columns
-        ``is_finished`` and ``time`` or ``time_s``; a tuple (time, is_finished); or one number (or label) a row.
+        A structured array with one boolean field and one of times, as in scikit-survival; a frame with the columns
+        ``is_finished`` and ``time`` or ``time_s``; a tuple (time, is_finished); or one number (or label) per row.
     """
     if isinstance(y, tuple) and len(y) == 2 and np.ndim(y[0]) == 1:
         return Ends(*checked_ends(*y))
@@ -113,18 +113,18 @@ def row_weights(
     tau: float | int | None,
     truncate_at: float | int | None,
 ) -> tuple[Rows, CensoringModel | None]:
-    """Weight of each row, and the censoring model that gave it.
+    """Weight of each row, and the censoring model of the weights.
 
     Parameters
     ----------
     ends
-        Times and whether they were seen; None if nothing could be cut.
+        Times and whether they were observed; None if nothing can be cut.
     rows
         Covariates, for models that use them, shape (n, F), or sets.
     counts
-        How many rows each one stands for. Ĝ is fitted to the rows above 0, each once.
+        Number of rows that each row represents. Ĝ is fitted to rows of positive weight, each counted once.
     censoring
-        Name of a model, a model to fit again, or ``"none"``: rows that were seen count alike.
+        Name of a model, a model to fit again, or ``"none"``: equal weights for observed rows.
     tau
         τ [s], if times are restricted.
     truncate_at
@@ -153,32 +153,32 @@ def row_weights(
 
 
 Fold = tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]
-"""Rows fitted to, rows held out."""
+"""Training rows, held-out rows."""
 
 TOLERANCE = 1e-4
 LEAST_OBJECTIVE = 1e-2
-"""Relative duality gap of fits that are only compared, and the share of the loss of f = 0 that it is at least of."""
+"""Relative duality gap of fits for comparison only, and the smallest objective for it, as a share of that of f = 0."""
 
 TELLING = 30
 HOPELESS = 1.2
-"""Held-out rows whose loss tells something, and the share of the least loss above which a fold gives up."""
+"""Fewest held-out rows to judge a fold by, and the ratio to its smallest loss at which it stops."""
 
 
 def folds_of_seen(cv: Any, seen: RowIds, num_rows: int, random_state: Any, classes: Rows | None = None) -> list[Fold]:
-    """Rows fitted to and rows held out, as positions among the rows that were seen.
+    """Training rows and held-out rows, as positions among the observed rows.
 
     Parameters
     ----------
     cv
-        A number of folds, into which the rows seen are dealt; or a splitter or splits of all rows.
+        Number of folds of the observed rows; or a splitter or splits of all rows.
     seen
         Rows of positive weight.
     num_rows
         n.
     random_state
-        Seed of the dealing.
+        Seed of the folds.
     classes
-        Class of each row seen, so that each fold gets its share of both.
+        Class of each observed row, to stratify the folds.
     """
     from sklearn.model_selection import KFold, StratifiedKFold, check_cv
 
@@ -212,27 +212,27 @@ def folds_of_seen(cv: Any, seen: RowIds, num_rows: int, random_state: Any, class
 def hold_out(
     problem: Problem, regs: Float[np.ndarray, " L"], folds: list[Fold], bar: Any = None
 ) -> tuple[Float[np.ndarray, "L n"], Float[np.ndarray, " L"]]:
-    """Fit without the rows of each fold, each λ from the one before.
+    """Fit without the rows of each fold, each λ warm-started from the one before.
 
-    A fold of 30 rows or more gives up where its loss is a fifth above the least that it has seen: what comes then fits
-    ever closer, costs most, and is not chosen.
+    A fold of at least 30 rows stops when its loss is a fifth above its smallest so far: smaller λ fit ever closer, cost
+    most, and are not chosen.
 
     Parameters
     ----------
     problem
-        On all rows that were seen; its λ is not looked at.
+        The problem on all observed rows; its λ is ignored.
     regs
-        λ, from the largest.
+        λ, largest first.
     folds
-        Rows fitted to and held out.
+        Training rows and held-out rows.
     bar
-        Told of every fold that is done.
+        Progress bar, updated after every fold.
 
     Returns
     -------
     tuple
-        Values f of each row by fits that did not see it, NaN where no fold held it out; and their weighted mean loss,
-        ∞ where a fold had given up.
+        Held-out values f of each row, NaN if no fold held it out; and their weighted mean loss, ∞ where a fold had
+        stopped.
     """
     values, losses = np.full((len(regs), len(problem.y)), np.nan), np.zeros(len(regs))
     for fitted, held in folds:
@@ -263,14 +263,14 @@ class Sigmoid:
 
 
 def fit_sigmoid(f: Rows, y: Rows, weight: Rows) -> Sigmoid:
-    """Fit by weighted maximum likelihood, with Platt's targets in place of certainty, y = ±1.
+    """Fit by weighted maximum likelihood with Platt's smoothed targets, y = ±1.
 
-    Values f are those by fits that did not see the row; NaN rows are left out.
+    Values f must be held out; NaN rows are ignored.
     """
     held = ~np.isnan(f)
     f, y, weight = f[held], y[held], weight[held] / weight[held].sum()
     spread = float(np.sqrt(weight @ np.square(f))) or 1.0
-    # A row of class ±1 counts as that class with the probability by the rule of succession, else as the other.
+    # By the rule of succession, a row of class ±1 counts partly as the other class.
     sample_size, proportion_second = 1.0 / np.square(weight).sum(), weight[y > 0].sum()
     num_of = sample_size * np.where(y > 0, proportion_second, 1.0 - proportion_second)
     sure = (num_of + 1.0) / (num_of + 2.0)
@@ -278,5 +278,5 @@ def fit_sigmoid(f: Rows, y: Rows, weight: Rows) -> Sigmoid:
     mass = np.concatenate([weight * sure, weight * (1.0 - sure)])
     found = solve(Problem(twice, np.concatenate([y, -y]), mass, named_loss("logistic"), 1e-6, True))
     slope = float(found.coefficients[0]) / spread
-    # Held-out values that speak for the wrong class tell nothing but how common the classes are.
+    # Held-out values that predict the wrong class carry no information but the class frequencies.
     return Sigmoid(slope, found.offset) if slope > 0.0 else Sigmoid(0.0, float(logit(proportion_second)))

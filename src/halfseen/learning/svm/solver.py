@@ -2,26 +2,27 @@
 
 A smooth loss is minimised by Newton steps. Any other is smoothed by its Moreau envelope around the last multipliers,
 which is the augmented Lagrangian of the constraint s = f: each round minimises a smooth function and updates the
-multipliers, and only the rows near a kink carry curvature, so that the linear systems stay small [LiSunToh2018]_. Where
-λ is so small that most rows will lie on a kink, interior points come first, which take a fifth of the time there, and
-rounds mend what those leave.
+multipliers. Only the rows near a kink carry curvature, so the linear systems stay small [LiSunToh2018]_. If λ is so
+small that most rows will lie on a kink, an interior-point method comes first, which takes a fifth of the time there,
+and rounds polish its result.
 
-With u_i ∈ −∂L(y_i, f_i), minus a subgradient, the *pull* of row i, the dual of the problem is to maximise
+With u_i ∈ −∂L(y_i, f_i), the negative of a subgradient, called the *pull* of row i, the dual problem is to maximise
 
     −λ‖g_u‖² − Σ_i c_i L*(y_i, −u_i),   2 λ g_u = Σ_i c_i u_i k(z_i, ·),   Σ_i c_i u_i = 0 if b is free.
 
-Where λ = 0 nothing is penalised, and Σ_i c_i u_i z_i = 0 as well. The distance between the two objectives, the *duality
-gap*, bounds how far the solution is from the optimum.
+If λ = 0 there is no penalty, and Σ_i c_i u_i z_i = 0 as well. The difference between the two objectives, the *duality
+gap*, bounds the distance of the solution's objective from the optimum.
 
-*Interior points* minimise ½‖g‖² + Σ_i up_i (f_i − high_i)₊ + down_i (low_i − f_i)₊, g = K α. Each row has two sides,
-s = +1 at its high edge and s = −1 at its low one. Of s (f − edge) = over − room, both ≥ 0, what is over costs `price`,
-and 0 ≤ pull ≤ price is the multiplier, with left = price − pull. At the minimum
+The *interior-point method* minimises ½‖g‖² + Σ_i up_i (f_i − high_i)₊ + down_i (low_i − f_i)₊, g = K α. Each row has
+two sides, s = +1 at its high edge and s = −1 at its low one. In s (f − edge) = over − room, both ≥ 0, the excess `over`
+costs `price`, and 0 ≤ pull ≤ price is the multiplier, with left = price − pull. At the minimum
 
     α = −Σ_s s · pull,   pull · room = 0,   left · over = 0,   Σ_i α_i = 0 if b is free.
 
-Both products of all rows are kept near one number that goes to 0, by Newton steps that predict, then correct
-[Mehrotra1992]_. Ten or so do, however many rows are on an edge, while the steps of `newton.minimise` have to find out
-which rows are. Each step factors K + diag ρ of all rows, 1 / ρ being how fast the pulls of a row fall as its f rises.
+Both products of all rows are kept near one number that goes to 0, by predictor–corrector Newton steps [Mehrotra1992]_.
+About ten steps suffice, however many rows are on an edge, whereas the steps of `newton.minimise` must find out which
+rows are. Each step factorises K + diag ρ of all rows, where 1 / ρ is the rate at which the pulls of a row fall as its f
+rises.
 """
 
 from collections.abc import Iterator
@@ -38,36 +39,37 @@ from halfseen.shapes import Float, Int
 from halfseen.workers.threads import one_thread
 
 SMALL = 2000
-"""Rows up to which one BLAS thread serves: a second gains little, and on a busy machine each waits for the other."""
+"""Rows up to which one BLAS thread is used: a second gains little, and on a busy machine the threads wait for each
+other."""
 
 MAX_ROUNDS = 60
 PATIENCE = 8
-"""Rounds, or interior points, without a smaller gap after which rounding is taken to have the last word."""
+"""Rounds or interior-point steps without a smaller gap after which rounding is assumed to dominate."""
 SHRINK = 0.2
 ENOUGH = 0.1
-"""A round that leaves less than this proportion of the gap needs no smaller step."""
+"""After a round that leaves less than this proportion of the gap, the step is not reduced."""
 ROUNDING = 1e-15
-"""Promises and gaps below this share of the loss of f = 0 tell nothing."""
+"""Predicted decreases and gaps below this share of the loss of f = 0 are not significant."""
 IMBALANCE = 1e-11
-"""Pulls that cancel but for this share of their sum do cancel."""
+"""Pulls cancel if their sum is below this share of the sum of their absolute values."""
 WEAK = 10.0
-"""Rows that could each pull f this many times as far as targets spread will mostly lie on a kink."""
+"""If rows could each pull f by this multiple of the spread of the targets, most will lie on a kink."""
 ROOM = 1e-7
-"""A pull that can move this far either way is inside its range."""
+"""A pull that can move this far both ways is in the interior of its range."""
 
 Sides = Float[np.ndarray, "2 n"]
-"""A number for the high and for the low side of each row."""
+"""One number for the high and one for the low side of each row."""
 
 MOST_INTERIOR_STEPS = 50
 SHORT_OF_THE_END = 0.995
-"""Share of the longest step that is taken, so that nothing becomes 0."""
+"""Share of the longest feasible step that is taken, so that every variable stays positive."""
 
 SIGN = np.array([[1.0], [-1.0]])
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is minimised; all rows count, so leave out those of weight 0."""
+    """The optimisation problem; omit rows of weight 0."""
 
     space: Space
     y: Rows
@@ -75,17 +77,17 @@ class Problem:
     """c_i = w_i / n, > 0."""
     loss: Loss
     reg: float
-    """λ; 0 needs features of full rank."""
+    """λ; 0 requires features of full rank."""
     has_offset: bool
 
     def part(self, rows: Int[np.ndarray, " r"]) -> "Problem":
-        """The problem on some of the rows, with n in proportion."""
+        """The problem on some of the rows, with n reduced in proportion."""
         mass = self.mass[rows] * len(self.y) / len(rows)
         return replace(self, space=self.space.part(rows), y=self.y[rows], mass=mass)
 
     @property
     def scale(self) -> float:
-        """Loss of f = 0, the size of the numbers that are compared."""
+        """Loss of f = 0, the scale for comparisons."""
         return float(self.mass @ np.abs(self.loss.value(self.y, np.zeros(len(self.y))))) or 1.0
 
 
@@ -96,16 +98,16 @@ class Solution:
     coefficients: Coefficients
     offset: float
     pull: Rows
-    """u: minus a subgradient of the loss at each row."""
+    """u: the negative of a subgradient of the loss at each row."""
     objective: float
     gap: float
-    """Objective minus dual objective: the optimum is at most this far below."""
+    """Objective minus dual objective: the optimum is at most this much lower."""
     rounding: float
-    """A gap that is no larger tells nothing: some units in the last place of the loss of f = 0."""
+    """A gap up to this is not significant: some units in the last place of the loss of f = 0."""
 
     @property
     def relative_gap(self) -> float:
-        """The gap as a share of the objective; 0 where it is no more than rounding."""
+        """The gap as a share of the objective; 0 if it is only rounding."""
         return 0.0 if self.gap <= self.rounding else self.gap / max(abs(self.objective), np.finfo(float).tiny)
 
     def meets(self, tolerance: float, least_objective: float) -> bool:
@@ -116,20 +118,20 @@ class Solution:
 def solve(
     problem: Problem, tolerance: float = 1e-8, start: Solution | None = None, least_objective: float = 0.0
 ) -> Solution:
-    """Solve to a relative duality gap of `tolerance`, or as near as rounding allows.
+    """Solve to a relative duality gap of `tolerance`, or as close as rounding allows.
 
     Parameters
     ----------
     problem
-        What is minimised.
+        The problem.
     tolerance
-        Largest gap, as a share of the objective.
+        Largest relative duality gap.
     start
         The solution of a problem on the same rows, for example with another λ.
     least_objective
-        An objective below this share of the loss of f = 0 is taken for that share when gaps are compared.
+        When gaps are compared, the objective counts as at least this share of the loss of f = 0.
     """
-    # With a middle target as 0, where the offset can take it up: far from 0, f is large beside its rounding.
+    # Shift a central target to 0 if the offset can absorb it: far from 0, f is large relative to its rounding.
     can_move = problem.has_offset and problem.loss.is_of_difference
     centre = float(np.sort(problem.y)[len(problem.y) // 2]) if can_move else 0.0
     start = replace(start, offset=start.offset - centre) if start else None
@@ -152,7 +154,7 @@ def _preference(found: Solution) -> tuple[float, float]:
 
 
 def _from_inside(problem: Problem, goal: tuple[float, float]) -> Solution | None:
-    """Follow interior points until they come no nearer; None where few rows are foreseen to lie on a kink."""
+    """Run the interior-point method until it stops improving; None if few rows are expected on a kink."""
     space, loss = problem.space, problem.loss
     if not (isinstance(space, Gram) and isinstance(loss, PiecewiseLoss)) or loss.is_smooth:
         return None
@@ -162,7 +164,7 @@ def _from_inside(problem: Problem, goal: tuple[float, float]) -> Solution | None
     if not (np.isfinite(edges).all() and prices.all() and 0.0 < WEAK * width < could_pull):
         return None
     best, in_vain = None, 0
-    # Two threads would take half the time at best, and on a busy machine they take five times as long.
+    # Two threads take half the time at best, and five times as long on a busy machine.
     with one_thread():
         for point, alpha in interior_points(space, edges, prices, problem.has_offset, width):
             found = certify(problem, point, 2.0 * problem.reg * alpha / problem.mass)
@@ -174,7 +176,7 @@ def _from_inside(problem: Problem, goal: tuple[float, float]) -> Solution | None
 
 
 def _by_rounds(problem: Problem, start: Solution | None, goal: tuple[float, float]) -> Solution:
-    """Minimise envelopes of ever smaller steps, each around the pulls of the one before; a smooth loss is its own."""
+    """Minimise envelopes with decreasing steps, each around the previous pulls; a smooth loss is its own envelope."""
     loss, scale, num_rows = problem.loss, problem.scale, len(problem.y)
     point = Point(np.zeros(problem.space.matrix.shape[1]), np.zeros(num_rows), 0.0)
     if start:
@@ -201,7 +203,7 @@ def _by_rounds(problem: Problem, start: Solution | None, goal: tuple[float, floa
 @no_type_check
 @dataclass(frozen=True)
 class _Envelope:
-    """Σ c_i min_s L(y_i, s) + (s − v_i)² / (2 step), v = f − step · u, with u the pulls of the round before."""
+    """Σ c_i min_s L(y_i, s) + (s − v_i)² / (2 step), v = f − step · u, with u the pulls of the previous round."""
 
     loss: Loss
     y: Rows
@@ -210,7 +212,7 @@ class _Envelope:
     step: float
 
     def pulls_at(self, f: Rows) -> Rows:
-        """Minus a subgradient of L at the s of each row, whatever v."""
+        """The negative of a subgradient of L at the minimising s of each row."""
         return -self.loss.slope(self.y, f - self.step * self.pulls, self.step)
 
     def pull(self, f: Rows) -> Rows:
@@ -221,7 +223,7 @@ class _Envelope:
 
 
 def certify(problem: Problem, point: Point, pulls: Rows) -> Solution:
-    """Give a candidate the dual bound that the pulls give, or that no loss is below its least, which pulls of 0 say."""
+    """Certify a candidate by the better of two dual bounds: that of the pulls, and that of pulls of 0."""
     pulls = _balanced(problem, pulls)
     dual = max(_dual(problem, pulls), _dual(problem, np.zeros(len(pulls))))
     norm = problem.space.inner(point.coefficients, point.coefficients, point.values)
@@ -236,19 +238,19 @@ def _dual(problem: Problem, pulls: Rows) -> float:
 
 
 def _balanced(problem: Problem, pulls: Rows) -> Rows:
-    """Make Σ c u z 0 for what costs nothing: z = 1 for the offset, and the features where λ = 0; or give pulls of 0."""
+    """Make Σ c u z = 0 for unpenalised z: the constant for the offset, and the features if λ = 0; else pulls of 0."""
     if problem.reg == 0.0:
         return _orthogonal(problem, pulls)
     if not problem.has_offset:
         return pulls
-    # The side that has more is shrunk: smaller pulls are subgradients, too.
+    # Shrink the larger side: smaller pulls are subgradients, too.
     forces = problem.mass * pulls
     up, down = forces[forces > 0.0].sum(), -forces[forces < 0.0].sum()
     return np.where(pulls > 0.0, min(down / up, 1.0) if up else 1.0, min(up / down, 1.0) if down else 1.0) * pulls
 
 
 def _orthogonal(problem: Problem, pulls: Rows) -> Rows:
-    """Move the pulls that have room, so that their forces are orthogonal to every column of f; 0 where that fails."""
+    """Move interior pulls so that the forces are orthogonal to every column of f; pulls of 0 if that fails."""
     columns = np.column_stack([problem.space.matrix, np.ones((len(pulls), int(problem.has_offset)))])
     has_room = np.isfinite([problem.loss.conjugate(problem.y, way - pulls) for way in (ROOM, -ROOM)]).all(axis=0)
     movable, moved = columns[has_room], pulls.copy()
@@ -262,7 +264,7 @@ def _orthogonal(problem: Problem, pulls: Rows) -> Rows:
 def interior_points(
     space: Gram, edges: Sides, prices: Sides, has_offset: bool, width: float
 ) -> Iterator[tuple[Point, Rows]]:
-    """Come ever nearer to the minimum, from f = 0.
+    """Iterate towards the minimum, from f = 0.
 
     Parameters
     ----------
@@ -271,21 +273,21 @@ def interior_points(
     edges
         High and low edge of each row.
     prices
-        Up and down, both > 0.
+        Up and down prices, both > 0.
     has_offset
         Whether b is free.
     width
-        Size of the numbers f, > 0: how far from its edges each row is first taken to be.
+        Scale of f, > 0: initial distance of each row from its edges.
 
     Yields
     ------
     tuple
-        The point, and α by the multipliers: it is the point's own in the end, and gives a bound on the way.
+        The point, and α by the multipliers, which gives a bound at every step and converges to the point's own.
     """
     nothing = np.zeros(edges.shape[1])
     point = Point(nothing, nothing, 0.0)
     over = np.maximum(-SIGN * edges, 0.0) + width
-    # Pull, left, over and room of every side.
+    # Pull, left, over and room of each side.
     sides = np.stack([0.5 * prices, 0.5 * prices, over, over + SIGN * edges])
     for _ in range(MOST_INTERIOR_STEPS):
         yield point, _net(sides[0])
@@ -299,18 +301,18 @@ def interior_points(
 def _step(
     space: Gram, edges: Sides, point: Point, sides: Float[np.ndarray, "4 2 n"], has_offset: bool
 ) -> tuple[Point, Float[np.ndarray, "4 2 n"]]:
-    """Step as if all products were to be 0, then again with the size of the products that this would leave."""
+    """Predict a step to products of 0, then correct it to the size of the products that it would leave."""
     pull, left, over, room = sides
     fall = 1.0 / (over / left + room / pull)
     newton = space.newton(fall.sum(axis=0), 0.5, has_offset, negligible=0.0)
     missed = SIGN * (point.f - edges) - (over - room)
 
     def move(wanted: Float[np.ndarray, "2 2 n"]) -> tuple[Rows, float, Float[np.ndarray, "4 2 n"]]:
-        """Change the products by so much, as far as they are linear, and mend all else."""
+        """Step that changes the products by `wanted`, to first order, and removes all other residuals."""
         of_still = fall * (missed + wanted[0] / pull - wanted[1] / left)
         net = _net(pull + of_still)
         coefficients, offset = newton(point.coefficients, net)
-        # K Δα + Δb, in the form in which the pulls follow it exactly.
+        # K Δα + Δb, in a form that is exactly consistent with the pulls.
         rise = (net - point.coefficients - coefficients) / fall.sum(axis=0)
         d_pull = of_still + fall * SIGN * rise
         change = np.stack([d_pull, -d_pull, (wanted[1] + over * d_pull) / left, (wanted[0] - room * d_pull) / pull])
@@ -333,5 +335,5 @@ def _net(pulls: Sides) -> Rows:
 
 
 def _longest(sides: Float[np.ndarray, "4 2 n"], change: Float[np.ndarray, "4 2 n"]) -> float:
-    """The longest step, up to 1, at which nothing becomes negative."""
+    """The longest step, up to 1, at which no variable becomes negative."""
     return 1.0 / max(1.0, float((-change / sides).max()))
