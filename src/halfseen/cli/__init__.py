@@ -1,4 +1,4 @@
-"""The command line: one file a verb or family of verbs, and heavy imports only inside a command."""
+"""The command line: one module for each verb or family of verbs, with heavy imports only inside commands."""
 
 import gc
 import os
@@ -41,12 +41,12 @@ MODULES = {
     "study": "simulate",
     "watch": "look",
 }
-"""Where a verb is that has no module of its own name."""
+"""Modules of the verbs without a module of their own name."""
 SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True}
 
 
 def _show_progress(ctx: click.Context, _: click.Parameter, is_quiet: bool) -> None:
-    """Set for as long as the command runs what its progress shows."""
+    """Set the progress display for the duration of the command."""
     if is_quiet:
         ctx.with_resource(telling(Telling.NOTHING))
     elif ctx.parent is None:
@@ -54,7 +54,7 @@ def _show_progress(ctx: click.Context, _: click.Parameter, is_quiet: bool) -> No
 
 
 def _with_quiet(command: click.Command) -> click.Command:
-    """Give a command ``--quiet``, which every one takes."""
+    """Add ``--quiet``, which every command takes."""
     if all("--quiet" not in param.opts for param in command.params):
         how: Any = {"is_flag": True, "expose_value": False, "callback": _show_progress}
         command.params.append(click.Option(["-q", "--quiet"], help="Show no progress.", **how))
@@ -67,9 +67,9 @@ class VerbGroup(click.Group):
     Parameters
     ----------
     verbs
-        Sentence of each verb, by its name.
+        Sentence of each verb, by name.
     modules
-        Where a verb is that has no module of its own name; each holds a command that is called like the verb.
+        Modules of the verbs without a module of their own name; each holds a command named like the verb.
     """
 
     def __init__(self, *args: Any, verbs: Mapping[str, str], modules: Mapping[str, str], **kwargs: Any) -> None:
@@ -82,7 +82,7 @@ class VerbGroup(click.Group):
         return list(self.verbs)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Load a verb; None if there is none of this name."""
+        """Load a verb; None if its name is unknown."""
         if cmd_name not in self.verbs:
             return None
         return _with_quiet(getattr(import_module(f"halfseen.cli.{self._modules.get(cmd_name, cmd_name)}"), cmd_name))
@@ -90,7 +90,7 @@ class VerbGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the verb that is called, or say which may have been meant."""
+        """Find the verb; on an unknown name, suggest a similar one."""
         name = args[0]
         if name not in self.verbs and name[:1].isalnum():
             where = f" of {ctx.info_name}" if ctx.parent else ""
@@ -99,12 +99,12 @@ class VerbGroup(click.Group):
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write what each verb does, without loading it."""
+        """Write the sentence of each verb, without loading it."""
         with formatter.section("Commands"):
             formatter.write_dl(list(self.verbs.items()))
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Complete names of verbs, and options; no verb is loaded for that."""
+        """Complete verb names and options, without loading a verb."""
         verbs = [
             CompletionItem(name, help=sentence) for name, sentence in self.verbs.items() if name.startswith(incomplete)
         ]
@@ -126,10 +126,10 @@ def halfseen() -> None:
 
 
 def main() -> None:
-    """Run the command line; bad input is told in one line and ends with exit status 2."""
-    # A verb loads much that it keeps: looking for garbage as often as Python does takes a tenth of its time.
+    """Run the command line; bad input is reported in one line, with exit status 2."""
+    # A verb allocates many long-lived objects: garbage collection at Python's default rate takes a tenth of its time.
     gc.set_threshold(100_000, 50, 100)
-    # BLAS reads it once, as it loads. What a verb computes is in one thread anyway; others would be begun, and wait.
+    # BLAS reads it once, on loading. A verb computes in one thread anyway; other threads would start and idle.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         with warnings.catch_warnings():
@@ -149,7 +149,7 @@ def main() -> None:
 
 
 def _refusal(error: Exception) -> str | None:
-    """What a command is refused for; None for a defect."""
+    """Message for which a command is refused; None for a defect."""
     if isinstance(error, HalfseenError):
         return str(error)
     if isinstance(error, click.NoSuchOption):
@@ -162,9 +162,9 @@ def _refusal(error: Exception) -> str | None:
 
 
 def _say_in_one_line() -> None:
-    """Let warnings that are meant for users read like all else.
+    """Print warnings for users in the usual one-line form.
 
-    What libraries say to one another concerns no user, but where one asks for it, as by PYTHONWARNINGS or Python's -W.
+    Warnings of other libraries are hidden unless the user asks for them, by PYTHONWARNINGS or Python's -W.
     """
     usual = warnings.showwarning
 
@@ -178,7 +178,7 @@ def _say_in_one_line() -> None:
 
 
 def _of_option(error: click.NoSuchOption) -> str:
-    """Say which option there is instead of one that is not there."""
+    """Message for an unknown option, with a suggestion."""
     params = [] if error.ctx is None else error.ctx.command.get_params(error.ctx)
     known = [name for param in params for name in (*param.opts, *param.secondary_opts) if name.startswith("--")]
     ending = did_you_mean(error.option_name, known) or "; --help lists those that there are"

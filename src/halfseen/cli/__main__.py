@@ -1,4 +1,4 @@
-"""``python -m halfseen.cli``: the command line where no script is installed."""
+"""``python -m halfseen.cli``: the command line without an installed script."""
 
 from halfseen.cli import main
 

@@ -1,4 +1,4 @@
-"""``halfseen act``: a policy's decision now, and the reason; ``export``: it as ONNX; ``monitor``: it in service."""
+"""``halfseen act``: a policy's decision and its reason; ``export``: the policy as ONNX; ``monitor``: it in service."""
 
 import json
 import shlex
@@ -96,7 +96,7 @@ def act(
         draw_decision(decision, picture, view=table.view if table else None, **where)
     report = {"policy": str(policy), "input": str(cloud), "action": decision.action, **where, **asdict(decision)}
     report |= {"learned_from": stored.record["log"].get("sources", [])}
-    seen = getattr(observation, "seen", "")  # of tables only
+    seen = getattr(observation, "seen", "")  # for tables only
     if table is not None and seen:
         from halfseen.tables.first_look import chances_of
 
@@ -228,10 +228,9 @@ def monitor(
 
 
 def lines(found: "Monitored") -> list[str]:
-    """Say what was found.
+    """Lines of the report.
 
-    What the policy does not know, a sentence, what has changed, where to look, whether to learn again, what is not
-    watched.
+    Order: what the policy does not know, the sentence, changes, causes, whether to learn again, what is not watched.
     """
     others = [
         f"- {each.words}, since about trajectory {each.since} ({each.since_low} to {each.since_high})"

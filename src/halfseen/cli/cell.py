@@ -1,6 +1,6 @@
-"""``halfseen cell``: the physical cell in simulation; ``calibrate``: its attempts, and the laws that they tell.
+"""``halfseen cell``: the physical cell in simulation; ``calibrate``: grasp attempts, and the laws fitted to them.
 
-MuJoCo's way to draw is needed by filming and nothing else: most machines that run this have no screen.
+Only filming needs MuJoCo's renderer, since most machines that run this have no screen.
 """
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
@@ -45,7 +45,7 @@ def cell() -> None:
 
 
 def load_mujoco() -> None:
-    """Load MuJoCo for its physics; a way to draw that does not exist is then no matter."""
+    """Load MuJoCo for its physics, with or without a working renderer."""
     try:
         import mujoco
     except RuntimeError:
@@ -54,12 +54,12 @@ def load_mujoco() -> None:
 
 
 def start_opengl() -> None:
-    """Load MuJoCo with a way to draw.
+    """Load MuJoCo with a renderer.
 
     Raises
     ------
     ArgumentError
-        There is none.
+        No renderer works.
     """
     os.environ.setdefault(GL, "egl")
     try:
@@ -130,14 +130,14 @@ def calibrate(
         return _report_of(law, logs) | origin
 
     if given is not None:
-        # A log does not say how it was made; the folder of a law does.
+        # The folder of a law records how its log was made; a log alone does not.
         is_law, beside = (given / ATTEMPTS).is_dir(), given / VISIBLE_ONLY
         record = read_law(given).record if is_law else {}
         origin = {name: record[name] for name in origin if name in record}
         contrast = read_logs(beside) if beside.is_dir() else None
         report = fitted(read_logs(given / ATTEMPTS if is_law else given), contrast)
     else:
-        # What was recorded goes when the law is written, not before: attempts take hours.
+        # Keep the recorded attempts until the law is written: they take hours.
         what = f"calibrate, seed {seed}" + (f", arm {arm_name}" if arm.file else "")
         with (
             working_folder(out, what, refuse) as folder,
@@ -157,7 +157,7 @@ def calibrate(
 
 
 def _report_of(law: "Law", logs: "Logs") -> dict[str, Any]:
-    """What is printed."""
+    """Content of the report."""
     errors = law.grasp.standard_error.tolist()
     return {
         "attempts": {"decided": law.grasp.num_decided, "cut": law.grasp.num_cut},

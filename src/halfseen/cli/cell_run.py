@@ -29,7 +29,7 @@ policy_option = click.option(
     required=True,
     help=f"Who decides: the folder of a policy of tables, of two arms that of a team's, or {', '.join(NAMES)}.",
 )
-DRAWING = 3  # what drawing takes, where a decision and what is done after it take 1
+DRAWING = 3  # work of drawing, in units of one decision and its action
 
 
 @click.command(epilog="Example: halfseen cell run --policy history-penalty --tables 50 --out logs")
@@ -119,7 +119,7 @@ def run(
 
 
 def _digest(folder: Path | None) -> str:
-    """What a folder of a policy or a law holds, in a few letters; nothing for what is known by its name."""
+    """Short digest of a folder of a policy or a law; empty for one that is known by name."""
     files = [] if folder is None else sorted(folder.glob("*.sha256"))
     return f" ({hashlib.sha256(files[0].read_bytes()).hexdigest()[:12]})" if files else ""
 
@@ -168,7 +168,7 @@ def _together(counts: dict[str, int | float]) -> str:
 def _following(
     policy: "Policy", horizon: int, is_watched: bool, port: int, record: Path | None, overwrite: bool
 ) -> "Iterator[Follow | None]":
-    """Follow tables while they are cleared, if asked to; then write what was seen, and show it until interrupted."""
+    """Follow tables while they are cleared, if requested; then write the recording, and show it until interrupted."""
     if not is_watched and record is None:
         yield None
         return

@@ -1,4 +1,4 @@
-"""``halfseen convert``: logs from one form into another."""
+"""``halfseen convert``: logs from one format to another."""
 
 import os
 import sys
@@ -91,9 +91,9 @@ def convert(
     if not target.startswith(MINARI):
         refuse_taken(place, False, None, "logs")
         _refuse_one_in_another(place, clouds)
-    # The folder of clouds appears only once the logs are written too.
+    # The folder of clouds appears only after the logs are written.
     with noted() as warned, nullcontext() if clouds is None or is_check else placed(clouds) as cloud_folder:
-        # Null may stand: it is refused, or filled in, when the logs are read.
+        # Keep nulls: they are refused or filled in when the logs are read.
         logs = read(kind, source, reading._replace(clouds=cloud_folder), "keep")
         if not is_check:
             _write(logs, target)
@@ -108,7 +108,7 @@ def convert(
 
 
 def _give_template(sources: tuple[str, ...], target: str | None) -> None:
-    """Print a mapping to start from, or write it: that of a table is made from it, that of bags is the same for all."""
+    """Print or write a mapping template; for a table it is derived from the table, for bags it is fixed."""
     from halfseen.logs.formats import MAPPING_TEMPLATE, mapping_of
 
     if len(sources) > 1:
@@ -124,7 +124,7 @@ def _give_template(sources: tuple[str, ...], target: str | None) -> None:
 
 
 def _kept_and_lost(logs: "Logs", target: str) -> dict[str, Any]:
-    """What does not come back from a target, and what nobody but halfseen finds in it."""
+    """Data that a target loses, and data that only halfseen can read from it."""
     from halfseen.logs.formats import losses, seen_by_halfseen_alone
 
     form = "csv" if target.startswith(CSV) else "minari" if target.startswith(MINARI) else "parquet"
@@ -137,7 +137,7 @@ def _kept_and_lost(logs: "Logs", target: str) -> dict[str, Any]:
 
 
 def _lines(report: dict[str, Any], is_check: bool) -> list[str]:
-    """Write a report for people."""
+    """Lines of the report."""
     lost = [f"- {loss['sentence']}" for loss in report["losses"]]
     hidden = report["for_halfseen_alone"]
     lines = [f"{report['target']}: {report['sentence']}"]
@@ -153,7 +153,7 @@ def _lines(report: dict[str, Any], is_check: bool) -> list[str]:
 
 
 def _refuse_one_in_another(out: Path, clouds: Path | None) -> None:
-    """Refuse folders of which one would lie in the other, or take its place."""
+    """Refuse two folders that are equal or nested."""
     if clouds is None:
         return
     places = [Path(os.path.realpath(place)) for place in (out, clouds)]
@@ -177,7 +177,7 @@ def _compact(sources: tuple[str, ...], target: str, is_check: bool, as_json: boo
 
 
 def _shown(source: str) -> str:
-    """A source as it may be printed: without a password."""
+    """The source without a password, for printing."""
     from halfseen.logs.formats.sql_rows import shown_url
 
     return SQL + shown_url(source.removeprefix(SQL)) if source.startswith(SQL) else source

@@ -1,4 +1,4 @@
-"""``halfseen evaluate``: what a policy is worth, from logs of another one or in the simulated world."""
+"""``halfseen evaluate``: the value of a policy, from logs of another policy or in the simulated world."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from halfseen.workers import Workers
     from halfseen.world import Team
 
-WORK = {"start": 1, "evaluate": 4}  # what each step takes of the time, roughly
+WORK = {"start": 1, "evaluate": 4}  # relative time of each step, roughly
 
 
 @click.command(epilog="Example: halfseen evaluate policy --logs logs --against logging-rule --against rule.csv")
@@ -135,7 +135,7 @@ def _by_logs(
 
 
 def _team_for(stored: "StoredPolicy", policy: Path, file: Path | None) -> "Team | None":
-    """The robots that are to play a policy; None for one alone."""
+    """The team for a policy; None for a single robot."""
     team = read_robots(file)
     if stored.num_robots != (None if team is None else len(team.robots)):
         there = "nobody says which robots" if team is None else f"{file} has a team of {len(team.robots)}"

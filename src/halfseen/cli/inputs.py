@@ -1,4 +1,4 @@
-"""What options name: laws, robots, arms, who decides for these, and tables; and files that a verb draws."""
+"""Objects that options name: laws, robots, arms, policies and tables; and checks of output files."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 
 
 def law_folder(name: str, beside: Path | None = None) -> Path | None:
-    """Find the folder of a law; None for those that are assumed.
+    """Find the folder of a law; None for the assumed law.
 
     Parameters
     ----------
     name
-        As ``--law`` takes it.
+        As in ``--law``.
     beside
-        The folder of the file that names it; None where ``--law`` does.
+        Folder of the file that names the law; None if ``--law`` does.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def law_folder(name: str, beside: Path | None = None) -> Path | None:
 
 
 def law_of(name: str, beside: Path | None = None) -> "Law | None":
-    """Read the law of a name; None for those that are assumed; see `law_folder`.
+    """Read a law by name; None for the assumed law; see `law_folder`.
 
     Raises
     ------
@@ -74,14 +74,14 @@ def _grasping_of(name: str, beside: Path) -> "GraspLaw":
 
 
 def read_robots(file: Path | None) -> "Team | None":
-    """Read the team of a file, a `law` of a robot being what ``--law`` takes; None where there is none.
+    """Read a team from a file, in which each `law` is as in ``--law``; None without a file.
 
     Raises
     ------
     ArgumentError
         The file holds no team.
     PolicyError
-        A folder that it names holds no law.
+        A folder named in it holds no law.
     """
     if file is None:
         return None
@@ -91,12 +91,12 @@ def read_robots(file: Path | None) -> "Team | None":
 
 
 def stations_for(arm: Arm, num_arms: int = 1) -> "tuple[tuple[Station, ...], str]":
-    """Give where arms stand, and say what arm they are: with a digest, if of a file.
+    """Stations of the arms, and the name of the arm, with a digest if it comes from a file.
 
     Raises
     ------
     HalfseenError
-        There is no such file, it holds no such arm, or one that cannot work at the table, or not twice.
+        The file does not exist, lacks the arm, or its arm cannot work at the table, or not in a pair.
     """
     from halfseen.cell import PAIR, ArmFile, Station, robot_of
 
@@ -117,14 +117,14 @@ NAMES = (*HEURISTICS, PLANNER)
 
 
 def policy_for(name: str, random_share: float, config: "WorldConfig", num_arms: int) -> "Policy":
-    """Find who decides for the arms of a cell, by one of `NAMES` or a folder; a share of the steps is uniformly random.
+    """Find the policy for the arms of a cell, by one of `NAMES` or a folder; a share of the steps is uniformly random.
 
-    Seconds of several arms cost nothing.
+    With several arms, time has no cost.
 
     Raises
     ------
     PolicyError
-        There is no such folder, or the policy in it decides for something else.
+        The folder does not exist, or its policy does not fit the arms.
     """
     if name in NAMES:
         world = config if num_arms == 1 else replace(config, speed=(1.0,) * num_arms)
@@ -151,7 +151,7 @@ def policy_for(name: str, random_share: float, config: "WorldConfig", num_arms: 
 
 
 def belief_of(name: str, arm_name: str) -> "Belief":
-    """What a robot with this arm believes under the law of a name."""
+    """Belief of a robot with this arm under a named law."""
     from halfseen.cell.arm import JACO_2
     from halfseen.cell.calibration.law import read_law
     from halfseen.cell.table_state import Belief, no_grip
@@ -167,7 +167,7 @@ def belief_of(name: str, arm_name: str) -> "Belief":
 
 
 def num_scenes(clouds: Sequence[Path]) -> int:
-    """Count what `scenes_of` gives."""
+    """Number of scenes that `scenes_of` returns."""
     from halfseen.cell.facts import tables_seen
 
     return len(clouds) or len(tables_seen())
@@ -176,7 +176,7 @@ def num_scenes(clouds: Sequence[Path]) -> int:
 def scenes_of(
     clouds: Sequence[Path], law: "Law | None" = None, on_each: Callable[[], object] = lambda: None
 ) -> list["Scene"]:
-    """Look at each cloud, by default at the ten that come with halfseen; under a law, what is seen tells of grips.
+    """Scene of each cloud, by default of the ten shipped ones; with a law, what is seen predicts grips.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def scenes_of(
 
 
 def perceived(file: Path) -> "tuple[Cloud, View]":
-    """Read a cloud, and see the objects on its table.
+    """Read a cloud, and detect the objects on its table.
 
     Raises
     ------
@@ -217,12 +217,12 @@ def perceived(file: Path) -> "tuple[Cloud, View]":
 
 
 def give_mapping(text: str, file: Path | None) -> None:
-    """Print a mapping to start from, or write it to a file.
+    """Print a mapping template, or write it to a file.
 
     Raises
     ------
     ArgumentError
-        The file is there already, or cannot be written.
+        The file already exists, or cannot be written.
     """
     if file is None:
         click.echo(text, nl=False)
@@ -233,12 +233,12 @@ def give_mapping(text: str, file: Path | None) -> None:
 
 
 def refuse_output(file: Path, what: str, endings: Sequence[str], overwrite: bool, inputs: Iterable[Path] = ()) -> None:
-    """Refuse a file to draw that could not be written, or is there and not to be replaced, which `inputs` never are.
+    """Refuse an output file that cannot be written, is one of `inputs`, or exists and must not be replaced.
 
     Raises
     ------
     ArgumentError
-        It has another ending, is an input, no file, there already, or in a folder that cannot be written.
+        It has a wrong ending, is an input, is not a file, already exists, or lies in a folder that cannot be written.
     """
     refuse_unwritable(file.parent)
     if file.suffix.lower() not in endings:

@@ -1,4 +1,4 @@
-"""``halfseen learn``: from logs of which some were cut to a policy."""
+"""``halfseen learn``: a policy from logs with cut trajectories."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
 NOTHING_TO_TRY = "that is known of named actions and covariates, where the policy seldom does what LOGS do"
 WAYS = ("to take only what still holds: {}", "or, where that is little: the same as here with --recency auto")
-"""What to do where a log is not of one cell."""
+"""Remedies for a log in which the cell has changed."""
 LEARNING = ("covariates", "q_function", "stages", "horizon", "grasp", "has_laws", "reg", "pessimism", "half_life")
-"""What Q looks at, and what it may be, as `learner_for` takes it."""
-START, LEARN, FOLDS, JUDGE, LOOK = 1, 2, 6, 4, 1  # what each step takes of the time, roughly
+"""Options of the form of Q, as in `learner_for`."""
+START, LEARN, FOLDS, JUDGE, LOOK = 1, 2, 6, 4, 1  # relative time of each step, roughly
 
 
 @click.command(epilog="Example: halfseen learn logs --out policy --censoring cox --seed 1")
@@ -239,7 +239,7 @@ def _opened(
 
 
 def _changes(log: "Logs | LogStream", learner: "CensoredQLearner") -> list[dict[str, Any]]:
-    """What has changed in the log, or in a sample of it."""
+    """Changes within the log, or within a sample of it."""
     from halfseen.learning.streaming import sample_of
     from halfseen.logs import Logs
     from halfseen.monitoring.training_log import changes_in
@@ -253,7 +253,7 @@ def _changes(log: "Logs | LogStream", learner: "CensoredQLearner") -> list[dict[
 def _judged(
     learner: "CensoredQLearner", log: "Logs | LogStream", seed: int, bar: Progress, trust: tuple[str, ...], workers: Any
 ) -> tuple["HeldOutVerdict", list[str]]:
-    """Judge this way of learning by the log; with a note if only a sample was judged."""
+    """Judge the learner by cross-validation on the log; with a note if only a sample was used."""
     from halfseen.evaluation.held_out import MOST_JUDGED, NUM_FOLDS, held_out_verdict
     from halfseen.learning.streaming import sample_of
     from halfseen.logs import Logs
@@ -277,7 +277,7 @@ def _check_exploration(file: Path, has_verdict: bool, overwrite: bool) -> None:
 
 
 def _prior_law(name: str | None) -> Any:
-    """The world of a law that is named; None where none is."""
+    """World of a named law; None without a name."""
     if name is None:
         return None
     from halfseen.cli.inputs import law_of
@@ -287,7 +287,7 @@ def _prior_law(name: str | None) -> Any:
 
 
 def _targets(cuts: options.Cuts) -> "Targets | str":
-    """What stands for what cuts took away; auto where nothing is said."""
+    """Targets that account for cuts; auto without options."""
     from halfseen.learning.targets import named_targets
 
     usual: Any = {"by": "trajectory", "covariates": None, "truncate_at": None, "is_doubly_robust": False}
@@ -295,11 +295,11 @@ def _targets(cuts: options.Cuts) -> "Targets | str":
     given["is_doubly_robust"], model = cuts.augmented, cuts.censoring or "auto"
     if model != "auto":
         return named_targets(model, **given)
-    return "auto" if given == usual else named_targets(**given)  # what is said of weights asks for weights
+    return "auto" if given == usual else named_targets(**given)  # options of weights select weighting
 
 
 def _lines(report: Mapping[str, Any], judged: "HeldOutVerdict | None") -> list[str]:
-    """Say what a policy looks at, what was chosen, what it would do, and the verdict."""
+    """Lines of the report: the specification, the policy's actions, and the verdict."""
     from halfseen.policies.folder.specification import description
 
     positivity, is_team = report["diagnostics"]["positivity"]["text"].splitlines()[0], "num_robots" in report["schema"]
@@ -324,7 +324,7 @@ def _lines(report: Mapping[str, Any], judged: "HeldOutVerdict | None") -> list[s
 
 
 def _action_lines(stages: Sequence[Mapping[str, Any]]) -> list[str]:
-    """How often the policy takes each action, and how often the one that was logged."""
+    """Share of each action under the policy, and the share of states in which it takes the logged action."""
     names = list(stages[0]["shares"])
     rows = [["stage", "states", *names, "as logged"]]
     for row in stages:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 HEAD = ["cloud", "objects", "upright", "lying", "cut", "half hidden", "most hidden"]
-ENDINGS = (".pcd", ".ply", ".npz")  # of clouds that are looked for in a folder
+ENDINGS = (".pcd", ".ply", ".npz")  # of cloud files in a folder
 
 
 @click.command(epilog="Example: halfseen look table.pcd --picture table.png")
@@ -102,7 +102,7 @@ def _table(view: "View", found: "FirstLook") -> list[str]:
 
 
 def _clouds_in(places: Sequence[Path]) -> list[Path]:
-    """Clouds, and all those of folders, by name."""
+    """Cloud files, including those in folders, by name."""
     found = []
     for place in places:
         those = [place]
@@ -115,7 +115,7 @@ def _clouds_in(places: Sequence[Path]) -> list[Path]:
 
 
 def _look_at_many(clouds: Sequence[Path], workers: "Workers", is_json: bool) -> None:
-    """Look at clouds and print what was seen, in their order; then refuse those that could not be looked at."""
+    """Look at clouds and print the results in order; then report those that failed."""
     with Progress(len(clouds), "look", "clouds") as bar, workers.ready_if_worth() as pool:
         found = []
         for of_cloud in pool.in_order(partial(_seen_in, _named_facts if is_json else _row), clouds):
@@ -134,7 +134,7 @@ def _look_at_many(clouds: Sequence[Path], workers: "Workers", is_json: bool) -> 
 
 
 def _seen_in(look: "Callable[[View, Path], Any]", cloud: Path) -> Any:
-    """Look at a cloud; an error is given back, so that it stops none of the others."""
+    """Look at a cloud; an error is returned, so that the other clouds are still processed."""
     try:
         return look(perceived(cloud)[1], cloud)
     except CloudError as error:
@@ -153,7 +153,7 @@ def _row(view: "View", cloud: Path) -> list[str]:
 
 
 def _facts(view: "View", found: "FirstLook | None") -> dict[str, Any]:
-    """Say for programs what stands on the table, and what looks dirty."""
+    """Facts for programs: the objects on the table, and their labels."""
     labels = [{}] * len(view.objects)
     if found is not None and found.labels is not None:
         labels = [
@@ -188,11 +188,11 @@ OF_KINDS = {
     "clouds": ("logs",),
     "trajectory": ("logs",),
 }
-"""Kinds of sources that an option is of."""
+"""Kinds of sources that each option applies to."""
 
 
 def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int, int] | None:
-    """Take ``2-5`` apart, or ``2``."""
+    """Parse ``2-5`` or ``2``."""
     if given is None:
         return None
     first, *last = given.split("-", 1)
@@ -254,7 +254,7 @@ def watch(
 
 
 def _of_stages(span: tuple[int, int] | None, watched: "Watched") -> "Watched":
-    """Some stages of what is shown."""
+    """The run restricted to a span of stages."""
     first, last = span or (1, len(watched.stages))
     if last > len(watched.stages):
         raise ArgumentError(f"--stages is {first}-{last}, and there are {len(watched.stages)}; leave it out for all")
@@ -294,7 +294,7 @@ def _of_recording(folder: Path) -> "Iterator[Watched]":
 def _of_cloud(
     file: Path, policy: Path | None, history: Path | None, labels: Path | None, law: str | None
 ) -> "Iterator[Watched]":
-    """What is seen, as soon as it is where no history tells of it, and then what is decided."""
+    """First the view, unless there is a history; then the decision."""
     from halfseen.tables.first_look import first_look
     from halfseen.view.stages import watched_cloud
 

@@ -1,7 +1,7 @@
-"""What is said: answers on stdout, errors and warnings in one line each on stderr.
+"""Output: answers on stdout; errors and warnings on stderr, one line each.
 
-Where a person reads it, the first word of such a line is in colour. Names and values of a log command no terminal. What
-nobody foresaw has a line, too: the system refused, memory is short, input is too deep, or a library is not there.
+On a terminal, the first word of such a line is in colour. Control characters in names and values of a log are escaped.
+System errors, lack of memory, deeply nested input and missing libraries are also reported in one line.
 """
 
 import errno
@@ -16,7 +16,7 @@ import click
 
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
-MOST_TOLD = 1200  # characters of a line; of a longer one, which quotes a value, its middle is left out
+MOST_TOLD = 1200  # characters of a line; the middle of a longer one is left out
 
 EXTRAS = {
     "perception": ("lzf", "matplotlib", "plyfile", "pypcd4", "skimage"),
@@ -38,16 +38,16 @@ EXTRAS = {
     "stores": ("upath",),
     "opcua": ("asyncua",),
 }
-"""Libraries that some verbs need, by the extra that brings them."""
+"""Optional libraries, by the extra that installs them."""
 HELD = {
     "opcua": ("serve",),
     "scene": ("perception",),
     "study": ("scene", "perception"),
     "watch": ("scene", "perception"),
 }
-"""What an extra holds of others."""
+"""Extras that an extra includes."""
 OF_VERB = {"cell": "scene", "report": "study", "study": "study", "watch": "watch"}
-"""Extras of the verbs that need one which holds others: it is told at once, not one after the other."""
+"""Extras to suggest for verbs that need several, so that one suggestion is enough."""
 _REMEDIES = {
     errno.EACCES: "ask for the right to it, or name another",
     errno.EPERM: "ask for the right to it, or name another",
@@ -69,37 +69,37 @@ def say(message: str) -> None:
 
 
 def tally(counts: Mapping[str, int]) -> str:
-    """Names with their counts."""
+    """Names with their counts, as text."""
     return ", ".join(f"{name} {count}" for name, count in counts.items()) or "none"
 
 
 def answer(report: Mapping[str, Any], lines: Iterable[str], as_json: bool) -> None:
-    """Answer on stdout: programs by one JSON object, people by lines."""
+    """Answer on stdout: one JSON object for programs, lines for people."""
     say(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(lines))
 
 
 def printable(text: str) -> str:
-    r"""Write what moves the cursor, colours, turns the direction or is no character as ``\x1b``, and the like."""
+    r"""Escape control characters, colours, changes of direction and invalid characters, as ``\x1b``."""
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def tell_error(message: str) -> None:
-    """Say why a command ends."""
+    """Report an error that ends the command."""
     _tell(message, "red")
 
 
 def tell_warning(message: str) -> None:
-    """Say what is legal and probably not meant."""
+    """Report something legal that is probably a mistake."""
     _tell(message, "yellow")
 
 
 def is_coloured() -> bool:
-    """Whether stderr is a terminal that shows colours, and nobody asked for none (https://no-color.org)."""
+    """Whether stderr is a colour terminal, and colours are not disabled (https://no-color.org)."""
     return sys.stderr.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def headed(message: str, colour: str) -> str:
-    """Write a message in one line that says who speaks."""
+    """Format a message as one line with the program's name."""
     head = click.style("halfseen:", fg=colour, bold=True) if is_coloured() else "halfseen:"
     line = printable(" ".join(message.split()))
     return f"{head} {line if len(line) <= MOST_TOLD else f'{line[: MOST_TOLD - 500]} … {line[-500:]}'}"
@@ -109,12 +109,12 @@ def _tell(message: str, colour: str) -> None:
     bars = sys.modules.get("tqdm")
     if bars is None:
         click.echo(headed(message, colour), err=True)
-    else:  # A bar that is being shown steps aside.
+    else:  # Print above a progress bar.
         bars.tqdm.write(headed(message, colour), file=sys.stderr)
 
 
 def unexpected(error: BaseException) -> str | None:
-    """Say what went wrong, where, and what to do; None for what is a defect of halfseen."""
+    """Message for an unexpected error, with place and remedy; None for a defect of halfseen."""
     if isinstance(error, OSError):
         return _of_system(error)
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)[:200]:
@@ -134,7 +134,7 @@ def _of_system(error: OSError) -> str:
 
 
 def remedy(error: ModuleNotFoundError, verb: str | None = None) -> str | None:
-    """Say how to install what an import in a verb misses; None where no extra brings it."""
+    """Command that installs a missing library; None if no extra includes it."""
     library = (error.name or "").partition(".")[0]
     extra = next((name for name, libraries in EXTRAS.items() if library in libraries), None)
     if extra is None:

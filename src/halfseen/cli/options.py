@@ -1,4 +1,4 @@
-"""Options that several commands take alike."""
+"""Options that several commands share."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -18,16 +18,16 @@ TRUST = {
     "covariates": "were known before the action, though they depend on it or on its outcome",
     "endings": "are ends, though they look like cuts",
 }
-"""What a log may be trusted in, against what it looks like; without, no verdict rests on it."""
+"""Properties of a log that the user may vouch for against appearances; otherwise no verdict relies on them."""
 MOST_EPISODES, MOST_STAGES = 10_000_000, 1000
-"""That a command plays, and that a trajectory has; programs that need more call the library, part by part."""
-MOST_WORKERS = 1024  # processes; each takes some hundred MB
-MOST_REPLICATES = 100_000  # each learns again; a thousand tell a band to a few percent
-MOST_SEED = 2**32 - 1  # generators tell no others apart
+"""Upper limits of episodes in a command and of stages in a trajectory; for more, call the library in parts."""
+MOST_WORKERS = 1024  # processes; each takes a few hundred MB
+MOST_REPLICATES = 100_000  # each learns again; a thousand estimate a band to a few percent
+MOST_SEED = 2**32 - 1  # generators do not distinguish larger seeds
 
 
 class _Place(click.Path):
-    """A path, or the address of a folder in an object store."""
+    """A path, or the URL of a folder in an object store."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return value if "://" in str(value) else super().convert(value, param, ctx)
@@ -37,10 +37,10 @@ PLACE = _Place(path_type=Path)
 
 
 class Choice(click.Choice):
-    """One of some words; of another one it says which may have been meant."""
+    """One of some words; an error suggests a similar word."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Take a word, or refuse it."""
+        """Accept a word, or refuse it."""
         try:
             return super().convert(value, param, ctx)
         except click.BadParameter as error:
@@ -49,18 +49,18 @@ class Choice(click.Choice):
 
 
 class Or(click.ParamType):
-    """A word, one of some, or a number."""
+    """One of some words, or a number."""
 
     def __init__(self, *words: str) -> None:
         self.words, self.name = words, "|".join([*words, "number"])
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Take a word, or a number."""
+        """Accept a word or a number."""
         return value if value in self.words else click.FLOAT.convert(value, param, ctx)
 
 
 def several(*options: Any) -> Any:
-    """Options as one decorator."""
+    """Combine options into one decorator."""
 
     def give(command: Callable[..., None]) -> Callable[..., None]:
         for option in reversed(options):
@@ -76,12 +76,12 @@ def path(*names: str, text: str | None = None, **more: Any) -> Any:
 
 
 def flag(*names: str, text: str) -> Any:
-    """An option that is given or not."""
+    """A flag."""
     return click.option(*names, is_flag=True, help=text)
 
 
 def whole(*names: str, least: int, most: int, text: str, default: int | None = None) -> Any:
-    """An option that is a whole number."""
+    """An option that is an integer."""
     return click.option(*names, type=click.IntRange(least, most), default=default, help=text)
 
 
@@ -96,7 +96,7 @@ def word(*names: str, of: Any, text: str, default: str | None = None) -> Any:
 
 
 def names(option: str, text: str) -> Any:
-    """An option that takes ``x1, x2`` apart; None stays None."""
+    """An option that splits ``x1, x2`` into names; None stays None."""
 
     def split(_: click.Context, __: click.Parameter, given: str | None) -> list[str] | None:
         return None if given is None else [name.strip() for name in given.split(",") if name.strip()]
@@ -105,17 +105,17 @@ def names(option: str, text: str) -> Any:
 
 
 def seed(same: str) -> Any:
-    """The option on which so much depends."""
+    """``--seed``."""
     return whole("--seed", least=0, most=MOST_SEED, default=0, text=f"Same seed, same {same}.")
 
 
 def overwrite(what: str) -> Any:
-    """The option that lets something be replaced."""
+    """``--overwrite``."""
     return flag("--overwrite", text=f"Replace {what} already there.")
 
 
 def law(default: str | None, of: str = "") -> Any:
-    """``--law``, and what it names where nothing is said; None where the command must know that nothing was."""
+    """``--law`` with a default; None if the command must know whether it was given."""
     return click.option(
         "--law",
         default=default,
@@ -135,7 +135,7 @@ def team(of: str = "") -> Any:
 
 
 def gathered(name: str, make: Callable[..., Any], *options: str) -> Any:
-    """Let a command take some of its options as one thing of that name, which is made of them."""
+    """Pass several options to a command as one argument of that name, created by `make`."""
 
     def give(command: Callable[..., None]) -> Callable[..., None]:
         @wraps(command)
@@ -149,7 +149,7 @@ def gathered(name: str, make: Callable[..., Any], *options: str) -> Any:
 
 
 def _rules(_: click.Context, param: click.Parameter, given: str | None) -> dict[str, str] | None:
-    """Take ``RULE`` for all covariates, or ``x=RULE,y=RULE``; None stays None."""
+    """Parse ``RULE`` for all covariates, or ``x=RULE,y=RULE``; None stays None."""
     if given is None:
         return None
     pairs = [each.strip().rpartition("=") for each in given.split(",") if each.strip()]
@@ -166,7 +166,7 @@ missing = click.option(
 
 
 class Cuts(NamedTuple):
-    """What stands for what cuts took away; None where nothing is said."""
+    """Options that account for cuts; None if not given."""
 
     censoring: str | None
     censoring_by: str | None
@@ -179,7 +179,7 @@ cuts = gathered("cuts", Cuts, *Cuts._fields)
 
 
 class Arm(NamedTuple):
-    """The arm of a file; all None for the usual one."""
+    """An arm from a file; all None for the default arm."""
 
     file: Path | None
     flange: str | None

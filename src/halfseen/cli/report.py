@@ -1,4 +1,4 @@
-"""``halfseen inspect``: what logs hold and what looks wrong; ``halfseen report``: one page of them and of a policy."""
+"""``halfseen inspect``: content and problems of logs; ``halfseen report``: one page about logs and a policy."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,7 @@ CUTS = {
     "last [s]": "{latest_s:.3g}",
     "in stages": "{first_stage} to {last_stage}",
 }
-"""Columns of a table, and the form of their cells."""
+"""Columns of a table, and the format of their cells."""
 ACTIONS = {
     "action": "{action}",
     "stages": "{num_stages}",
@@ -77,7 +77,7 @@ def inspect(logs: Path, missing: dict[str, str] | None, as_json: bool) -> None:
 
 
 def _lines(report: dict[str, Any]) -> list[str]:
-    """Write a report for people: one sentence, what looks wrong, then the numbers."""
+    """Lines of the report: one sentence, problems, then the numbers."""
     words = [doubt["sentence"] for doubt in report["data_warnings"]]
     doubts = [f"- {word[0].upper()}{word[1:]}{'' if word.endswith('?') else '.'}" for word in words]
     stages = [row | weight for row, weight in zip(report["clock"], report["weights"], strict=True)]
@@ -111,7 +111,7 @@ def _facts(report: dict[str, Any]) -> list[str]:
 
 
 def _robots(rows: Sequence[Row]) -> str:
-    """How many there are, and the share of the decisions that each made."""
+    """Number of robots, and the share of the decisions of each."""
     shares = [f"{row['robot']} made {row['share']:.0%}" for row in rows]
     return f"{len(rows)}, of whose decisions {', '.join(shares)}" if rows else ""
 
@@ -122,7 +122,7 @@ def _actions(choices: Sequence[Row]) -> list[str]:
 
 
 def _table(columns: Mapping[str, str], rows: Sequence[Row]) -> list[str]:
-    """Write rows under the names of columns, each cell in its form; empty where there are no rows."""
+    """Aligned lines of a table with its header; empty without rows."""
     if not rows:
         return []
     cells = [[_Form().format(form, **row) for form in columns.values()] for row in rows[:MOST_ROWS]]
@@ -131,16 +131,16 @@ def _table(columns: Mapping[str, str], rows: Sequence[Row]) -> list[str]:
 
 
 class _Form(Formatter):
-    """Writes a dash for what is missing."""
+    """Formats None as a dash."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         return "-" if value is None else super().format_field(value, format_spec)
 
 
 WORK = {"start": 10, "evaluate": 25, "look at the policy": 1, "learn again": 18, "look at the log": 1, "draw": 8}
-"""What each step takes of the time, roughly."""
+"""Relative time of each step, roughly."""
 USUAL: dict[str, Any] = {"propensity": "logged", "replicates": 100}
-"""Options that have a value where none is given."""
+"""Default values of options."""
 
 
 @click.command(epilog="Example: halfseen report logs policy --out report.html --seed 1")
@@ -222,7 +222,7 @@ def report(
 
 
 def _refuse_without_policy(policy: Path | None, chosen: Mapping[str, Any]) -> None:
-    """Refuse what is said of a policy where there is none."""
+    """Refuse options about a policy if there is none."""
     given = next(iter(_given(chosen)), None)
     if policy is None and given is not None:
         option = f"--{given.replace('_', '-')}"
@@ -230,17 +230,17 @@ def _refuse_without_policy(policy: Path | None, chosen: Mapping[str, Any]) -> No
 
 
 def _given(chosen: Mapping[str, Any]) -> dict[str, Any]:
-    """Options that differ from what they are where nobody says anything."""
+    """Options that differ from their defaults."""
     return {name: value for name, value in chosen.items() if value not in (None, ()) and USUAL.get(name) != value}
 
 
 def _written(missing: Mapping[str, str] | None) -> str | None:
-    """Rules as the option takes them."""
+    """Rules in the syntax of the option."""
     return ",".join(rule if name == "*" else f"{name}={rule}" for name, rule in (missing or {}).items()) or None
 
 
 def _command(logs: Path, policy: Path | None, chosen: Mapping[str, Any]) -> str:
-    """Write the command that makes the page again, wherever it is put."""
+    """Command that creates the page again, without its output option."""
     parts = ["halfseen", "report", str(logs), *([] if policy is None else [str(policy)])]
     for name, value in _given(chosen).items():
         for one in value if isinstance(value, tuple) else (value,):

@@ -1,4 +1,4 @@
-"""``halfseen serve``: a policy that answers over HTTP or OPC UA; ``halfseen record``: what a program says."""
+"""``halfseen serve``: a policy that answers over HTTP or OPC UA; ``halfseen record``: logs from a program's calls."""
 
 import asyncio
 import logging
@@ -41,7 +41,7 @@ class _ShareOrTable(click.ParamType):
     name = "share|file"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | Path:
-        """Tell them apart by how it ends."""
+        """Distinguish a table from a share by the file ending."""
         if str(value).lower().endswith(".csv"):
             return Path(value)
         share: Any = click.FloatRange(0.0, 1.0, max_open=True)
@@ -171,7 +171,7 @@ def serve(
     _check_wire(controller, mapping, record)
     if against is not None and record is None:
         raise ArgumentError(f"--against is {against}, and the comparison lives in the log; give --record LOGS")
-    # A folder of logs is begun only where there is something to record.
+    # Create the folder of logs only when there is something to record.
     stays_within = not extrapolate and out_of_range != "answer"
     how: Any = {"extrapolates": extrapolate, "stays_within": stays_within, "rule": fall_back or against}
     served = Served(policy, **how, limit_s=time_limit)
@@ -211,7 +211,7 @@ def _check_wire(controller: str | None, mapping: Path | None, record: Path | Non
     if controller is None:
         return
     if not controller.startswith("opc.tcp://") or "@" in controller:
-        place = controller.rpartition("@")[2]  # no password is repeated
+        place = controller.rpartition("@")[2]  # do not repeat a password
         raise ArgumentError(f"--opcua names {place}; give opc.tcp://HOST:PORT, and users in --mapping")
     if record is None:
         raise ArgumentError(f"--opcua {controller}: what was decided is known by the log; give --record LOGS")
@@ -221,7 +221,7 @@ def _wire(served: "Served", controller: str, mapping: Path) -> "Wire":
     from halfseen.serving.opcua.mapping import read_mapping
     from halfseen.serving.opcua.wire import Wire
 
-    # What it has to say is said by the wire, in a line.
+    # The wire reports errors of asyncua, in one line each.
     logging.getLogger("asyncua").addHandler(logging.NullHandler())
     to = read_mapping(mapping, served.service.stored)
     wire = Wire(served, controller, to, os.environ.get(PASSWORD))

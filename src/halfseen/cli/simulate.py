@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 CUT_KINDS = ("independent", "occlusion", "attempt")
 _HORIZON = 10
-_START, _TABLE = 4, 2  # what starting takes, and playing one table, where looking at one takes 1
+_START, _TABLE = 4, 2  # work of starting and of playing one table, in units of one look
 
 
 @click.command(epilog="Example: halfseen simulate --out logs --episodes 500 --seed 1")

@@ -1,4 +1,4 @@
-"""Sources of ``halfseen convert``: of which kind one is, which options that kind takes, and how it is read."""
+"""Sources of ``halfseen convert``: their kinds, the options of each kind, and how they are read."""
 
 import shlex
 from collections.abc import Callable
@@ -22,11 +22,11 @@ OPTIONS_OF = {
     ("action", "reward", "done"): ("lerobot", "steps", "hdf5"),
     ("clock", "step_s", "truncated"): ("minari", "lerobot", "steps", "hdf5"),
 }
-"""Which kinds of sources take an option."""
+"""Kinds of sources that take each group of options."""
 
 
 class Reading(NamedTuple):
-    """How to read a source: options of some kinds of sources alone."""
+    """Options that some kinds of sources take."""
 
     mapping: Path | None
     clouds: Path | None
@@ -43,12 +43,12 @@ class Reading(NamedTuple):
 
 
 def kind_of(source: str, is_mapped: bool = False) -> str:
-    """What a source is, by what stands there; in an object store there is one form alone.
+    """Kind of a source, by its content; an object store holds Parquet logs only.
 
     Parameters
     ----------
     is_mapped
-        Whether a mapping says what it holds, so that a table is one of events and not of steps.
+        Whether there is a mapping, so that a table holds events, not steps.
     """
     from halfseen.logs.folder import is_remote, place_of, refuse_no_folder
     from halfseen.logs.formats import is_older
@@ -85,7 +85,7 @@ def kind_of(source: str, is_mapped: bool = False) -> str:
 
 
 def _step_files(path: Path) -> list[Path]:
-    """The files of a step table: itself, or those that lie in a folder that is no log."""
+    """Files of a step table: the path itself, or those in a folder that is not a log."""
     from halfseen.logs.formats.step_tables import TABLE_FILES
 
     if not path.is_dir():
@@ -95,7 +95,7 @@ def _step_files(path: Path) -> list[Path]:
 
 
 def tables_of_events(path: Path) -> list[Path]:
-    """A table, or those of a folder that is neither a log nor holds bags."""
+    """A table, or the tables of a folder without logs and bags."""
     if path.is_file():
         return [path]
     if _bags(path) or (path / "logs.json").exists():
@@ -104,7 +104,7 @@ def tables_of_events(path: Path) -> list[Path]:
 
 
 def _bags(path: Path) -> list[Path]:
-    """The bags of a path: itself, or those that lie in it side by side."""
+    """Bags of a path: the path itself, or those in its folder."""
     if _is_bag(path):
         return [path]
     return sorted(entry for entry in path.iterdir() if _is_bag(entry)) if path.is_dir() else []
@@ -122,7 +122,7 @@ def check_options(kind: str, reading: Reading) -> None:
     Raises
     ------
     ArgumentError
-        One is given.
+        Such an option is given.
     """
     for names, owners in OPTIONS_OF.items():
         for name in names:
@@ -135,19 +135,19 @@ def check_options(kind: str, reading: Reading) -> None:
 
 
 def read(kind: str, source: str, how: Reading, missing: str | None = None) -> "Logs":
-    """Read the logs of a source of some kind.
+    """Read the logs of a source.
 
     Parameters
     ----------
     kind, source, how
-        What it is, where, and what options say of it.
+        Its kind, its location, and its options.
     missing
-        "keep" to let covariates be null where a source of this kind may have such; else they are refused.
+        "keep" to allow null covariates, for kinds of sources that support them; otherwise they are refused.
 
     Raises
     ------
     HalfseenError
-        It cannot be read, or not in this way.
+        It cannot be read, or not with these options.
     """
     from halfseen.logs import formats, read_logs
     from halfseen.logs.folder import place_of
@@ -170,7 +170,7 @@ def read(kind: str, source: str, how: Reading, missing: str | None = None) -> "L
 
 
 def _read_sql(url: str, how: Reading, missing: str | None) -> "Logs":
-    """Read a database by its queries, which options say, or a file."""
+    """Read a database by queries from options or from a file."""
     from halfseen.logs.formats import Queries, read_event_mapping, read_event_table, read_queries, read_sql
     from halfseen.logs.formats.mapping import is_event_mapping
     from halfseen.logs.formats.sql_rows import read_rows, shown_url
@@ -194,7 +194,7 @@ def _read_sql(url: str, how: Reading, missing: str | None) -> "Logs":
 
 
 def _read_events(source: str, how: Reading, missing: str | None) -> "Logs":
-    """Read a table of any columns by a mapping."""
+    """Read a table with arbitrary columns by a mapping."""
     from halfseen.logs.formats import read_event_table
     from halfseen.logs.formats.table_cells import refuse_workbook
 
@@ -209,7 +209,7 @@ def _read_events(source: str, how: Reading, missing: str | None) -> "Logs":
 
 
 def _read_bags(bags: list[Path], how: Reading) -> "Logs":
-    """Read bags; each cloud of a stage is seen as objects, if that is asked for, and written to a folder, if any."""
+    """Read bags; on request, detect the objects of each stage's cloud, and write the clouds to a folder."""
     from halfseen.logs.formats import read_bag
 
     if how.mapping is None:
@@ -230,7 +230,7 @@ def _read_bags(bags: list[Path], how: Reading) -> "Logs":
 
 
 def _kept(folder: Path, points_m: "np.ndarray", shape: tuple[int, int], name: str) -> str:
-    """Write a cloud; its file is called like it."""
+    """Write a cloud to a file of the same name."""
     from halfseen.perception import Cloud, write_pcd
 
     write_pcd(Cloud(points_m, shape if shape[0] > 1 else None, name=name), folder / f"{name}.pcd")
@@ -238,7 +238,7 @@ def _kept(folder: Path, points_m: "np.ndarray", shape: tuple[int, int], name: st
 
 
 def _see(points_m: "np.ndarray", shape: tuple[int, int], name: str) -> dict[str, list[Any]]:
-    """Objects that a cloud shows, as columns; renumbered in each cloud, the largest first."""
+    """Objects in a cloud, as columns; numbered within each cloud, the largest first."""
     import numpy as np
 
     from halfseen.perception import Cloud, perceive

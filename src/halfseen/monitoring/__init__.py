@@ -1,13 +1,13 @@
-"""A policy in service: whether what was promised is earned, and if not, what has changed and since when.
+"""Monitoring of a policy in service: whether it earns what was promised and, if not, what changed and since when.
 
-Everything here may be looked at at any time. The chance that anything alarms in a lifetime without change is meant to
-be 5 % at most.
+Every result is valid at any time. Without change, the probability of any false alarm in a whole lifetime is meant to
+be at most 5 %.
 
-Read it down: `outcomes` (what a trajectory adds under cuts, and bounds on its mean) → `betting` (wealth against
+Reading order: `outcomes` (the value of a trajectory under cuts, and bounds on its mean) → `betting` (wealth against
 "nothing has changed") → `foreign` (what the policy does not know) → `streams` (what is watched) → `diagnosis` (since
-when, and which part broke) → `answer` (with whether to learn again) → `monitor`. And `comparison` (bounds on the gain
-over the rule of today) → `dealing` (how a comparison stands, and who gets the next trajectory). Beside them
-`training_log` asks of a log before it is learned from whether it is of one cell.
+when, and which part broke) → `answer` (the report, and whether to learn again) → `monitor`. A second path is
+`comparison` (bounds on the gain over the rule of today) → `dealing` (the verdict, and the arm of the next trajectory).
+Separately, `training_log` checks whether a log to be learned from comes from one unchanged cell.
 """
 
 from typing import TYPE_CHECKING

@@ -1,8 +1,8 @@
-"""What a log of a policy in service says: one sentence, what has changed, and whether learning again may pay.
+"""The report on a policy in service: one sentence, what has changed, and whether learning again may pay.
 
-A policy that was learned from n trajectories has a promise with a standard error s, so one of m later ones would have
-about s √(n/m). What was lost, d, is clearly more than that from m = n (2s/d)² on. How much of it can be had again only
-what is learned can tell.
+The promise of a policy that was learned from n trajectories has a standard error s, so an estimate from m later ones
+has about s √(n/m). The loss d is clearly larger than that for m ≥ n (2s/d)². How much of the loss can be recovered is
+known only after learning again.
 """
 
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from halfseen.wording import counted
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that has changed.
+    """A change that was detected.
 
     Parameters
     ----------
@@ -27,13 +27,13 @@ class Finding:
     name
         What has changed.
     words
-        How, in a sentence.
+        How it has changed, in a sentence.
     p_value
-        At any time.
+        Anytime-valid p-value.
     alarm_at
-        Trajectory, counted from 1, at which it was first found.
+        Trajectory, counted from 1, at which the change was first detected.
     since, since_low, since_high
-        Trajectory from which on it has changed, and between which that lies.
+        First trajectory after the change, and the interval of its estimate.
     """
 
     family: str
@@ -48,33 +48,33 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class Monitored:
-    """What a log of a policy in service says.
+    """The result of monitoring a policy by the log of its service.
 
     Parameters
     ----------
     num_trajectories
-        That have ended.
+        Number of trajectories that have ended.
     promised
-        What was promised: value, low, high; None where nothing was.
+        The promise: value, low, high; None if nothing was promised.
     earned
-        What is earned: value, and bounds at any time, 95 %, as if nothing changed; and value since the first finding's
-        change. None where that is not known.
+        Mean earned: value, with anytime-valid 95 % bounds that assume no change; and the value since the change of the
+        first finding. None if unknown.
     findings
-        What has changed, the first alarm first.
+        Detected changes, the first alarm first.
     causes
-        Which parts differ from the log that was learned from since then, in words, where there is an alarm.
+        After an alarm, the parts that differ from the training log since then, in words.
     notes
         What could not be watched.
     outcomes, course
-        What each trajectory adds, and the bounds after each that was weighed.
+        The outcome of each trajectory, and the bounds after each weighted one.
     p_values
-        By name of a family, after each trajectory: the smallest of its p-values times their number.
+        By family, after each trajectory: its smallest p-value times the number of its p-values.
     relearning
-        Whether learning again may pay; "" where nothing has changed.
+        Whether learning again may pay; "" if nothing has changed.
     doubts
-        What the policy does not know, in words; it is told first.
+        What the policy does not know, in words; reported first.
     foreign
-        That the log is of no service of the policy, in words; "" where it is.
+        A sentence if the log does not come from the policy's service, else "".
     """
 
     num_trajectories: int
@@ -92,12 +92,12 @@ class Monitored:
 
     @property
     def alarm_at(self) -> int | None:
-        """Trajectory, counted from 1, at which anything alarmed first; None if nothing did."""
+        """Trajectory of the first alarm, counted from 1; None without an alarm."""
         return min((each.alarm_at for each in self.findings), default=None)
 
     @property
     def sentence(self) -> str:
-        """The answer; where the log is of no service of the policy, that, and alarms alone."""
+        """The answer; for a log that does not come from the policy's service, this fact and the alarms only."""
         if self.foreign:
             return f"{self.foreign}.{f' {self._alarm}' if self.findings else ''}"
         return self._alarm
@@ -122,7 +122,7 @@ class Monitored:
         return f"Alarm at trajectory {self.alarm_at}: {first.words}, {since}{'; ' if earned else ''}{earned}."
 
     def as_dict(self) -> dict[str, Any]:
-        """All but the course, ready for JSON."""
+        """All fields except the outcomes, the course and the p-values, ready for JSON."""
         return {
             "sentence": self.sentence,
             "is_alarm": bool(self.findings),
@@ -140,26 +140,26 @@ class Monitored:
 
 
 CLEARLY = 2.0
-"""Standard errors."""
+"""Number of standard errors by which a loss must exceed 0."""
 FEWEST = 200
-"""Trajectories; where nothing changes, a policy of the bin from 100 earns a fifth less than one from 500, and one from
-200 a twentieth less than one from 600 (`benchmarks/relearning.py`)."""
+"""Fewest trajectories to learn from again. Without change, a policy of the bin learned from 100 earns a fifth less than
+one from 500, and one from 200 a twentieth less than one from 600 (`benchmarks/relearning.py`)."""
 MEND_FIRST = "Mend what is recorded before you learn again: columns have changed, and perhaps not the cell."
 OWN = 0.98
-"""Share of the actions that are the policy's, from which on the log says too little of all others."""
+"""Share of the policy's own actions above which the log shows too little of the other actions."""
 
 
 def num_needed(value: Mapping[str, float] | None, num_learned: int, now: float | None) -> int | None:
-    """Tell from how many trajectories on learning again may pay; None where nothing was lost.
+    """Number of trajectories from which learning again may pay; None if nothing was lost.
 
     Parameters
     ----------
     value
-        What was promised, ``value`` and ``standard_error``; None where nothing was.
+        The promise, ``value`` and ``standard_error``; None if nothing was promised.
     num_learned
-        n, trajectories behind the promise.
+        n, the number of trajectories behind the promise.
     now
-        What is earned since the change; None where that is not known.
+        Mean earned since the change; None if unknown.
 
     Examples
     --------
@@ -182,11 +182,11 @@ def relearning(num_since: int, since: str | int, needed: int | None, own: float)
     Parameters
     ----------
     num_since
-        Trajectories since the change.
+        Number of trajectories since the change.
     since
         Name of the first of them.
     needed
-        As `num_needed` tells.
+        Result of `num_needed`.
     own
         Share of their actions that are the policy's.
     """

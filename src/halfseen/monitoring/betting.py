@@ -1,17 +1,17 @@
-"""Wealth from bets against "nothing has changed", and what it says at any time.
+"""Wealth from bets against "nothing has changed", and its anytime-valid p-values.
 
-A test martingale multiplies its wealth by payoffs whose mean is at most 1 while nothing has changed; the chance that it
-ever reaches 1/α is at most α (Ville's inequality). So 1 / (largest wealth so far) is a p-value at any time, and Holm's
-procedure [Holm1979]_ over several of them errs with a chance of α in a whole lifetime.
+A test martingale multiplies its wealth by payoffs whose mean is at most 1 while nothing has changed. The probability
+that it ever reaches 1/α is at most α (Ville's inequality). So 1 / (largest wealth so far) is an anytime-valid p-value,
+and Holm's procedure [Holm1979]_ over several of them errs with probability at most α in a whole lifetime.
 
-A gambler bets from a random time on, drawn from a prior of when a change comes, and in one of several ways; the wealth
-is the mean over times and ways, so it costs about the logarithm of how unlikely the prior held the change. A lifetime
-has no end, so the prior has a long tail. Whatever is not bet yet is kept.
+A gambler starts to bet at a random time, drawn from a prior of the change point, with one of several strategies. Its
+wealth is the mean over times and strategies, so the logarithm of the wealth loses about the negative logarithm of the
+prior probability of the change. A lifetime has no end, so the prior has a long tail. Wealth is kept until it is bet.
 
-On states taken together a classifier bets, on which of two is the newer one. Each new state is put aside, or, by a
-coin, paired with the oldest that is aside: a state of the policy's log at first. While nothing has changed the two are
-exchangeable, so 2 σ(θ · (φ(new) − φ(old))) has the mean 1 for any θ known before; θ is learned from the pairs before by
-logistic regression [PodkopaevRamdas2023]_. φ are covariates and their products.
+On joint states, a classifier bets on which of two is the newer one. A coin decides whether a new state is put aside or
+paired with the oldest state that is aside; the first of these come from the policy's log. While nothing has changed
+the two are exchangeable, so 2 σ(θ · (φ(new) − φ(old))) has mean 1 for any predictable θ. θ is learned from earlier
+pairs by logistic regression [PodkopaevRamdas2023]_. φ are the covariates and their products.
 """
 
 from bisect import bisect_left
@@ -24,22 +24,22 @@ from scipy.special import ndtri
 from halfseen.shapes import Float, Int
 
 FROM_FIRST = 0.2
-"""Chance, by the prior, of a change before the first trajectory."""
+"""Prior probability of a change before the first trajectory."""
 SHAPE, SCALE = 0.5, 100.0
-"""Hazard of a change with trajectory t if there was none: SHAPE / (SCALE + t − 1)."""
+"""Prior hazard of a change at trajectory t: SHAPE / (SCALE + t − 1)."""
 STAKE = 0.9
-"""Share of the wealth that a bet may lose."""
+"""Largest share of the wealth that a bet may lose."""
 POWER, SHIFT = 0.65, 0.5
-"""Bets that ranks are low: density of a beta distribution, and of normal values that lie so many deviations lower; they
-were chosen on other policies than those of `benchmarks/service.py`."""
+"""Bets on low ranks: exponent of a beta density, and shift of a normal density [standard deviations]. They were chosen
+on other policies than those of `benchmarks/service.py`."""
 LEAST = 1e-12
-"""Of a p-value, where a density has no bound."""
+"""Smallest p-value, since the densities are unbounded at 0."""
 
 NUM_STATES = 7
 LOSSES = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.6, 1.0])
-"""Of what a bet may lose, by state, where there is one way to bet."""
+"""Fraction of the largest bet in each state, for bets in one direction."""
 LEVELS = np.array([0.1, 0.3, 1.0])
-"""The same, where there are two ways."""
+"""The same for bets in either direction."""
 
 
 def log_wealth(payoffs: Float[np.ndarray, "n F S"]) -> Float[np.ndarray, "n F"]:
@@ -48,7 +48,7 @@ def log_wealth(payoffs: Float[np.ndarray, "n F S"]) -> Float[np.ndarray, "n F"]:
     Parameters
     ----------
     payoffs
-        By round, what each gambler's wealth in each state is multiplied by; 1 in the first state, which waits.
+        Factor of each gambler's wealth, by round and state; 1 in the first state, which waits.
     """
     num, num_gamblers, num_states = payoffs.shape
     shares = np.full((num_gamblers, num_states), FROM_FIRST / (num_states - 1))
@@ -65,18 +65,18 @@ def log_wealth(payoffs: Float[np.ndarray, "n F S"]) -> Float[np.ndarray, "n F"]:
 
 
 def rank_payoffs(p: Float[np.ndarray, "n F"], *, is_less: bool = False) -> Float[np.ndarray, "n F S"]:
-    """Bets that p-values are small, large, at both ends or in the middle; none where there is no p-value (NaN).
+    """Payoffs of bets that p-values are small, large, at both ends or in the middle; 1 where a p-value is NaN.
 
     Parameters
     ----------
     p
         p-values.
     is_less
-        Bet on small ones alone.
+        Bet on small p-values only.
     """
     there = np.nan_to_num(p, nan=0.5)
     small, ends = _low_densities(there), STAKE * np.cos(2.0 * np.pi * there)
-    # As many states as the others, two ways three times.
+    # Repeat two strategies three times, for as many states as the other gamblers have.
     ways = 3 * small if is_less else [*small, *_low_densities(1.0 - there), 1.0 + ends, 1.0 - ends]
     payoffs = np.stack([np.ones_like(there), *ways], axis=2)
     return np.where(np.isnan(p)[..., None], 1.0, payoffs)
@@ -90,7 +90,7 @@ def _low_densities(p: Float[np.ndarray, "n F"]) -> list[Float[np.ndarray, "n F"]
 def mean_payoffs(
     values: Float[np.ndarray, "n F"], highs: Float[np.ndarray, "n F"], means: Float[np.ndarray, " F"]
 ) -> Float[np.ndarray, "n F S"]:
-    """Bets that outcomes of at most `highs` have smaller means than these; none where there is no outcome (NaN)."""
+    """Payoffs of bets that outcomes of at most `highs` have means below `means`; 1 where an outcome is NaN."""
     return 1.0 + _loss_bets(values, highs, means)[..., None] * LOSSES
 
 
@@ -101,23 +101,23 @@ def residual_payoffs(
     tolerance: Float[np.ndarray, " m"],
     reach: float,
 ) -> Float[np.ndarray, "n 1 S"]:
-    """Bets that residuals, clipped to ±`reach`, have a mean below −`tolerance`, or above it.
+    """Payoffs of bets that residuals, clipped to ±`reach`, have a mean below −`tolerance` or above `tolerance`.
 
-    There is a bet on each residual, and those of a trajectory are multiplied: a mean over a trajectory, which may go on
-    because something failed, would not be 0.
+    Each residual has its own bet, and the payoffs of a trajectory are multiplied. A mean over a trajectory would not
+    have expectation 0, since a trajectory may continue because something failed.
 
     Parameters
     ----------
     values
-        Residuals in their order.
+        Residuals in order.
     trajectory
-        Place of the trajectory of each.
+        Index of the trajectory of each residual.
     num
         Number of trajectories.
     tolerance
-        Of each residual; known before it is seen.
+        Tolerance of each residual; known before it is seen.
     reach
-        Where they are clipped.
+        Absolute value at which residuals are clipped.
     """
     clipped, payoffs = np.clip(values, -reach, reach), np.ones((num, NUM_STATES))
     less, more = (_loss_bets(sign * clipped, reach, -tolerance)[:, None] for sign in (1.0, -1.0))
@@ -127,7 +127,7 @@ def residual_payoffs(
 
 
 def _loss_bets(values: np.ndarray, highs: Any, means: Any) -> np.ndarray:
-    """The largest bets; what would win more than it may lose wins no more, which costs a little and is safe."""
+    """The largest bets, before scaling; gains are capped at the largest loss, which is conservative."""
     bets = STAKE * (means - values) / np.maximum(highs - means, 1e-12)
     return np.nan_to_num(np.maximum(bets, -STAKE))
 
@@ -135,14 +135,14 @@ def _loss_bets(values: np.ndarray, highs: Any, means: Any) -> np.ndarray:
 def rank_p_values(
     bins: Int[np.ndarray, " n"], num_bins: int, counts: Sequence[float] | np.ndarray, draws: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Conformal p-values: the place of each value among those before it and in a reference, ties broken at random.
+    """Conformal p-values: the rank of each value among earlier values and a reference, with ties broken at random.
 
-    Independent and uniform while all are exchangeable.
+    They are independent and uniform while all values are exchangeable.
 
     Parameters
     ----------
     bins
-        Bin of each value, in the order of values; −1 where there is none, which gives NaN.
+        Bin of each value, numbered in increasing order of values; −1 for no value, which gives NaN.
     num_bins
         Number of bins.
     counts
@@ -162,12 +162,12 @@ def rank_p_values(
 
 
 def p_values(log_wealths: Float[np.ndarray, "n F"]) -> Float[np.ndarray, "n F"]:
-    """p-value of each gambler after each round, which never rises."""
+    """Anytime-valid p-value of each gambler after each round; it never increases."""
     return np.exp(-np.maximum.accumulate(np.maximum(log_wealths, 0.0), axis=0))
 
 
 def holm(p: Float[np.ndarray, " F"], alpha: float) -> np.ndarray:
-    """Which hypotheses are rejected, by Holm's procedure.
+    """Whether Holm's procedure rejects each hypothesis.
 
     Examples
     --------
@@ -184,16 +184,16 @@ def holm(p: Float[np.ndarray, " F"], alpha: float) -> np.ndarray:
 
 
 def first_rejected(p: Float[np.ndarray, "n F"], alpha: float, hypothesis: int) -> int:
-    """Round (from 0) in which Holm's procedure first rejects a hypothesis that it rejects in the last.
+    """Round (from 0) in which Holm's procedure first rejects a hypothesis that it rejects in the last round.
 
     Parameters
     ----------
     p
-        Of all hypotheses after each round; they never rise.
+        p-values of all hypotheses after each round; they never increase.
     alpha
-        Level.
+        Significance level.
     hypothesis
-        Which, by column.
+        Column of the hypothesis.
     """
     return bisect_left(range(len(p)), True, key=lambda at: bool(holm(p[at], alpha)[hypothesis]))
 
@@ -201,18 +201,18 @@ def first_rejected(p: Float[np.ndarray, "n F"], alpha: float, hypothesis: int) -
 RIDGE, NEWTON_STEPS = 5.0, 6
 FEWEST_PAIRS, MORE = 20, 1.3
 LARGEST = 5.0
-"""Of standardised covariates."""
+"""Absolute value at which standardised covariates are clipped."""
 
 
 def pair_payoffs(
     states: Float[np.ndarray, "n d"], reference: Float[np.ndarray, "k d"], coins: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 1 S"]:
-    """Payoffs after each new state; 1 for one that is put aside.
+    """Payoffs after each new state; 1 for a state that is put aside.
 
     Parameters
     ----------
     states
-        New states in their order.
+        New states in order.
     reference
         States of the log.
     coins
@@ -228,7 +228,7 @@ def pair_payoffs(
 
 
 def _pairs(num: int, num_reference: int, coins: Float[np.ndarray, " n"]) -> list[tuple[int, int]]:
-    """Which new state is paired with which older one, as rows of reference and new states together."""
+    """Pairs of a new state (row of the new states) and an older one (row of reference and new states together)."""
     aside, used, pairs = list(range(num_reference)), 0, []
     for i in range(num):
         if coins[i] < 0.5 or used == len(aside):
@@ -247,7 +247,7 @@ def _features(states: np.ndarray, scale_of: np.ndarray) -> Float[np.ndarray, "m 
 
 
 def _bets(apart: Float[np.ndarray, "m P"]) -> Float[np.ndarray, " m"]:
-    """2 σ − 1 of each pair, by what was learned from those before."""
+    """2 σ − 1 of each pair, with θ learned from earlier pairs."""
     bets, begun, end = np.zeros(len(apart)), 0, FEWEST_PAIRS
     while begun < len(apart):
         if begun >= FEWEST_PAIRS:

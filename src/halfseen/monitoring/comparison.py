@@ -1,16 +1,16 @@
-"""A policy against the rule of today, by trajectories that are dealt to either by chance.
+"""A randomised comparison of a policy with the rule of today: each trajectory is dealt to one of the two arms.
 
-Trajectory i goes to the policy (A = 1) with chance p. Its worth Y is what it earned; where trajectories are cut, the
-doubly robust stand-in Y = v(S₁) + Σ_t δ_t/Ĝ(U_t⁻)·(R_t + v(S_{t+1}) − v(S_t)), with v the value of what is left under
-its arm (least-squares temporal differences) and Ĝ by Kaplan and Meier: right where either of them is, and Y itself
-where nothing is cut. Both are learned from the trajectories before. With c = (1 − p) v¹(S₁) + p v⁰(S₁),
-E[(A − p)(Y − c)] = p(1 − p)·Δ. So a gambler bets on x_i(δ) = (A − p)(Y − c − δ(A − 1 + p)), whose mean is 0 where the
-gain Δ is δ [WaudbySmithRamdas2024]_: wealth of 1/α against all gains up to δ is seen with chance α at most, at
-whatever time one looks. Only what was dealt by chance counts, so a drift of the cell, which both arms see, is no gain.
+Trajectory i goes to the policy (A = 1) with probability p. Its outcome Y is its total reward. Under cuts, Y is the
+doubly robust pseudo-outcome Y = v(S₁) + Σ_t δ_t/Ĝ(U_t⁻)·(R_t + v(S_{t+1}) − v(S_t)), with v the value function of its
+arm (least-squares temporal differences) and Ĝ the Kaplan–Meier estimate. It is unbiased if either is correct, and
+equals the total reward without cuts. Both are learned from earlier trajectories. With c = (1 − p) v¹(S₁) + p v⁰(S₁),
+E[(A − p)(Y − c)] = p(1 − p)·Δ. So a gambler bets on x_i(δ) = (A − p)(Y − c − δ(A − 1 + p)), whose mean is 0 if the
+gain Δ is δ [WaudbySmithRamdas2024]_. Its wealth against all gains up to δ ever reaches 1/α with probability at most α.
+Only randomly dealt trajectories count, so a drift of the cell, which affects both arms, is not mistaken for a gain.
 
-Nobody knows the range of x_i, so each is clipped to the largest seen before it. That, and estimates under cuts, make α
-an aim and no proof; `benchmarks/against.py` counts how often it is missed. `halfseen.monitoring.outcomes` weighs whole
-trajectories and asks for their range; here what a trajectory did before its cut counts.
+The range of x_i is unknown, so each is clipped to the largest absolute value before it. Clipping and the estimates
+under cuts make α a target, not a guarantee; `benchmarks/against.py` counts how often it is missed.
+`halfseen.monitoring.outcomes` weights whole trajectories and needs their range; here the stages before a cut count too.
 """
 
 from typing import NamedTuple
@@ -21,39 +21,39 @@ from halfseen.censoring import KaplanMeier
 from halfseen.shapes import Bool, Float, Int
 
 FEWEST_OF_EITHER = 2
-"""Trajectories of either arm from which is learned before the first one counts."""
+"""Fewest trajectories of each arm to learn from before the first one counts."""
 MORE = 1.25
-"""What counts is learned again once there are so many times as many."""
+"""Factor by which the number of trajectories grows between two fits of v and Ĝ."""
 SMALLEST_SURVIVAL = 0.5
-"""Chance of not being cut, below which weights do not grow further, and v is relied on."""
+"""Survival probability below which weights stop growing, so that v takes over."""
 FEWEST_OF_ARM = 10
-"""Of an arm, before it has a v and a Ĝ of its own."""
+"""Fewest trajectories of an arm that gets its own v and Ĝ."""
 RIDGE = 1.0
-"""Of the value of what is left [stages]."""
+"""Ridge penalty of v [stages]."""
 BETS = np.array([0.02, 0.15, 0.5, 0.95])
-"""Shares of the stake that are put against the largest loss seen so far."""
+"""Shares of the stake that are bet against the largest loss so far."""
 STAKES = np.array([1.0, 1.0, 2.0, 2.0]) / 6.0
-"""What is put on each of them: large gains are to be seen soon."""
+"""Initial wealth of each bet; more on large bets, which detect large gains early."""
 NUM_HALVINGS, FARTHEST = 17, 64.0
-"""Of the range in which a bound is sought; and how far it reaches, in the largest excess."""
+"""Bisection steps for a bound; and the end of its search range, in multiples of the largest excess."""
 
 
 class Courses(NamedTuple):
-    """n trajectories that were dealt, in their order, and the m stages that they began."""
+    """n dealt trajectories in order, and the m stages that they began."""
 
     is_policy: Bool[np.ndarray, " n"]
-    """Of which arm."""
+    """Whether it was dealt to the policy."""
     chance: Float[np.ndarray, " n"]
-    """With which it was dealt to the policy."""
+    """Probability with which it was dealt to the policy."""
     end_s: Float[np.ndarray, " n"]
     is_finished: Bool[np.ndarray, " n"]
     trajectory: Int[np.ndarray, " m"]
-    """Number of each stage's trajectory, from 0, in order."""
+    """Index of each stage's trajectory, from 0, in order."""
     state: Float[np.ndarray, "m F"]
     reward: Float[np.ndarray, " m"]
-    """NaN where not completed."""
+    """NaN if the stage was not completed."""
     clock_s: Float[np.ndarray, " m"]
-    """When the stage was completed [s]; NaN where not."""
+    """Time of completion of the stage [s]; NaN if it was not completed."""
 
     @property
     def num(self) -> int:
@@ -61,18 +61,18 @@ class Courses(NamedTuple):
         return len(self.chance)
 
     def part(self, begin: int, end: int) -> "Courses":
-        """Trajectories from `begin` to before `end`."""
+        """Trajectories from `begin` up to, but not including, `end`."""
         rows = slice(*np.searchsorted(self.trajectory, [begin, end]))
         parts = [each[begin:end] for each in self[:4]] + [each[rows] for each in self[4:]]
         return Courses(*parts)._replace(trajectory=self.trajectory[rows] - begin)
 
     def totals(self) -> Float[np.ndarray, " n"]:
-        """What each earned while it was seen [reward]."""
+        """Observed total of each trajectory [reward]."""
         return np.bincount(self.trajectory, np.nan_to_num(self.reward), self.num)
 
 
 class Counted(NamedTuple):
-    """What each trajectory adds; none before there were enough to learn from."""
+    """Contribution of each trajectory; none before there were enough to learn from."""
 
     chance: Float[np.ndarray, " n"]
     bet_on: Float[np.ndarray, " n"]
@@ -80,11 +80,11 @@ class Counted(NamedTuple):
     excess: Float[np.ndarray, " n"]
     """Y − c [reward]."""
     share: Float[np.ndarray, " n"]
-    """A − 1 + p, by which a gain raises it."""
+    """A − 1 + p, the coefficient of the gain in the excess."""
 
 
 class _Learned(NamedTuple):
-    """Of the rule and of the policy: v as coefficients, and Ĝ; and what features are scaled by."""
+    """v (as coefficients) and Ĝ of the rule and of the policy; and the scaling of the features."""
 
     coefficients: Float[np.ndarray, "2 G"]
     survivals: list[KaplanMeier | None]
@@ -94,20 +94,20 @@ class _Learned(NamedTuple):
 
 
 class _Wealth(NamedTuple):
-    """Of who bets on one gain and side."""
+    """Wealth of a gambler against one gain, on one side."""
 
     num: int
-    """Trajectories that were bet on."""
+    """Number of trajectories that were bet on."""
     largest: float
-    """Of what they brought beside that gain, either way [reward]."""
+    """Largest absolute excess over that gain [reward]."""
     of_bets: Float[np.ndarray, " 4"]
-    """Logarithm of the wealth of each of `BETS` now."""
+    """Current logarithm of the wealth of each of `BETS`."""
     best: float
-    """Largest logarithm of the wealth of all so far."""
+    """Largest logarithm of the total wealth so far."""
 
 
 class Kept:
-    """What a comparison that goes on need not work out again; nothing that comes out depends on it."""
+    """Cache of a running comparison; no result depends on it."""
 
     def __init__(self) -> None:
         self.learned: dict[int, _Learned] = {}
@@ -115,11 +115,11 @@ class Kept:
         self._before = self._wealth
 
     def begin(self) -> None:
-        """Ask for bounds again: from now on, wealth that nobody asked for since the last time is forgotten."""
+        """Start a new round of bounds; drop wealth that was not used since the last call."""
         self._before, self._wealth = self._wealth, {}
 
     def best(self, of: Counted, gain: float, side: int) -> float:
-        """Largest logarithm of the wealth so far, as `log_wealth` has it; `of` has grown, if it changed."""
+        """Largest logarithm of the wealth so far, as in `log_wealth`; `of` may only grow between calls."""
         asked = gain, side
         known = self._wealth.get(asked) or self._before.get(asked) or _begun(of, gain)
         if known.num < len(of.excess):
@@ -132,16 +132,16 @@ NOTHING = Counted(*np.zeros((4, 0)))
 
 
 def counted(courses: Courses, known: Counted = NOTHING, kept: Kept | None = None) -> Counted:
-    """Weigh trajectories, each by those before it alone: the more there are, what the first ones add stays the same.
+    """Compute the contribution of each trajectory from earlier ones only; later trajectories do not change it.
 
     Parameters
     ----------
     courses
-        All of them.
+        All trajectories.
     known
-        What was found of the first of them, which is not worked out again.
+        Contributions of the first trajectories, which are not computed again.
     kept
-        What was learned from them.
+        Cache of the fits.
     """
     kept = Kept() if kept is None else kept
     arm = np.cumsum(courses.is_policy)
@@ -178,7 +178,7 @@ def _learned(past: Courses) -> _Learned:
 
 
 def _of_arm(past: Courses, arm: bool) -> Bool[np.ndarray, " n"]:
-    """Which trajectories an arm is learned from: of both where it has few."""
+    """Trajectories that an arm is learned from: those of both arms if it has few."""
     of = past.is_policy == arm
     return of if of.sum() >= FEWEST_OF_ARM else np.ones(past.num, dtype=bool)
 
@@ -189,7 +189,7 @@ def _survival(past: Courses, arm: bool) -> KaplanMeier | None:
 
 
 def _weights(courses: Courses, survivals: list[KaplanMeier | None]) -> Float[np.ndarray, " m"]:
-    """δ/Ĝ(U⁻) of each stage; Ĝ is 1 where nobody was cut."""
+    """δ/Ĝ(U⁻) of each stage; Ĝ is 1 without cuts."""
     is_done = ~np.isnan(courses.clock_s)
     weight = is_done.astype(np.float64)
     for arm, survival in enumerate(survivals):
@@ -200,7 +200,7 @@ def _weights(courses: Courses, survivals: list[KaplanMeier | None]) -> Float[np.
 
 
 def _goes_on(courses: Courses) -> Bool[np.ndarray, " m"]:
-    """Whether another stage of its trajectory comes after each."""
+    """Whether each stage has a successor in its trajectory."""
     return np.append(courses.trajectory[1:] == courses.trajectory[:-1], False)
 
 
@@ -210,7 +210,7 @@ def _value(
     reward: Float[np.ndarray, " m"],
     weight: Float[np.ndarray, " m"],
 ) -> Float[np.ndarray, " G"]:
-    """θ with θᵀφ(S_t) = E[R_t + θᵀφ(S_{t+1})], by weighted least-squares temporal differences."""
+    """θ that solves θᵀφ(S_t) = E[R_t + θᵀφ(S_{t+1})], by weighted least-squares temporal differences."""
     ridge = RIDGE * np.eye(features.shape[1])
     ridge[0, 0] = 1e-6
     weighted = features * weight[:, None]
@@ -221,7 +221,7 @@ def _added(learned: _Learned, new: Courses) -> Counted:
     first = np.searchsorted(new.trajectory, np.arange(new.num))
     columns = (_columns(new) - learned.centre) / learned.spread
     features = np.column_stack([np.ones(len(columns)), columns])
-    # A sum of its own for each row: with others beside it, a product of matrices differs in the last bit.
+    # Sum each row separately: the last bit of a matrix product depends on the other rows.
     values = np.clip((learned.coefficients[:, None] * features).sum(axis=2), *learned.range)
     arm, goes_on = new.is_policy[new.trajectory], _goes_on(new)
     own = np.where(arm, values[1], values[0])
@@ -233,30 +233,30 @@ def _added(learned: _Learned, new: Courses) -> Counted:
 
 
 def log_wealth(of: Counted, gain: float, side: int = 1) -> Float[np.ndarray, " n"]:
-    """Logarithm of the wealth after each trajectory of who bets that the policy gains more than this.
+    """Logarithm of the wealth after each trajectory of a gambler who bets that the policy gains more than `gain`.
 
     Parameters
     ----------
     of
-        What each trajectory adds.
+        Contribution of each trajectory.
     gain
         The gain [reward].
     side
-        1, or −1 for who bets that it gains less.
+        1, or −1 for a bet that it gains less.
     """
     return np.append(np.zeros(min(len(of.excess), 1)), _gone_on(of, gain, side, _begun(of, gain))[0])
 
 
 def _begun(of: Counted, gain: float) -> _Wealth:
-    """The first trajectory says what is large alone."""
+    """Initial wealth; the first trajectory is not bet on and only sets the scale."""
     first = np.abs(of.excess[:1] - gain * of.share[:1])
     return _Wealth(len(first), float(first.sum()), np.zeros(len(BETS)), 0.0)
 
 
 def _gone_on(of: Counted, gain: float, side: int, known: _Wealth) -> tuple[Float[np.ndarray, " k"], _Wealth]:
-    """Logarithm of the wealth after each of the k trajectories that come after those that were bet on."""
+    """Logarithm of the wealth after each of the k trajectories that were not bet on yet."""
     beside = of.excess[known.num :] - gain * of.share[known.num :]
-    # What is larger than ever is lowered, whichever arm it is of.
+    # Clip to the largest absolute value so far, in either arm.
     largest = np.maximum.accumulate(np.append(known.largest, np.abs(beside)))
     lowered = np.clip(beside, -largest[:-1], largest[:-1]) / np.where(largest[:-1] > 0.0, largest[:-1], 1.0)
     chance = of.chance[known.num :]
@@ -269,15 +269,15 @@ def _gone_on(of: Counted, gain: float, side: int, known: _Wealth) -> tuple[Float
 
 
 def beats_at(of: Counted, gain: float, alpha: float, side: int = 1) -> int | None:
-    """Number of counted trajectories after which it is seen that the policy gains more (or less); None if never."""
+    """Number of counted trajectories after which the policy is shown to gain more (or less); None if never."""
     above = np.flatnonzero(log_wealth(of, gain, side) >= -np.log(alpha))
     return int(above[0]) + 1 if len(above) else None
 
 
 def bound(of: Counted, alpha: float, side: int = 1, kept: Kept | None = None) -> float:
-    """Bound the gain from below, or with side −1 from above [reward]; it is passed, ever, with chance `alpha` at most.
+    """Lower bound of the gain, or upper bound with side −1 [reward]; ever wrong with probability at most `alpha`.
 
-    ∓∞ where nothing is seen yet.
+    ∓∞ while there is no evidence.
     """
     if not len(of.excess):
         return -side * np.inf

@@ -1,10 +1,10 @@
-"""How a comparison stands, and with which chance the next trajectory goes to the policy.
+"""The state of a comparison, and the probability with which the next trajectory goes to the policy.
 
-The share doubles, up to a half, as often as the loss that it may bring a trajectory halves from one standard deviation
-of what trajectories earn. It falls to 0 for good once harm is seen, or once the loss so far may exceed its bound: with
-N trajectories of the policy and a lower bound L of its gain, N·max(0, −L), where none loses more than the range of what
-trajectories earned. The chance of the last trajectory says whether it was promoted (1) or stopped (0), so that a log of
-trajectories holds the whole state.
+The share of the policy doubles, up to a half, each time the possible loss a trajectory halves, counted from one
+standard deviation of the trajectories' totals. The share drops to 0 for good once harm is shown or the loss so far may
+exceed its bound. With N trajectories of the policy and a lower bound L of its gain, this loss is N·max(0, −L), where
+the loss of one trajectory is at most the range of the totals. The probability of the last trajectory shows whether the
+policy was promoted (1) or stopped (0), so a log of trajectories holds the whole state.
 """
 
 from dataclasses import dataclass
@@ -15,30 +15,30 @@ import numpy as np
 from halfseen.monitoring.comparison import Counted, Courses, Kept, bound, counted
 
 ARM = "arm"
-"""Column of a log's trajectories: to which each was dealt."""
+"""Column of a log's trajectories: the arm that each was dealt to."""
 POLICY, RULE = "policy", "rule"
 PROMOTES, HARMS = 0.025, 0.05
-"""Chances of promoting what is no better, and of a loss beyond its bound."""
+"""Probabilities of promoting a policy that is no better, and of a loss beyond its bound."""
 LARGEST_SHARE = 0.5
-"""Before a policy is promoted: a fair coin tells most."""
+"""Before a policy is promoted; a fair coin is the most informative."""
 MOST_MORE = 100_000
 EXTRA_NATS = 1.0
-"""What not knowing how much to bet costs."""
+"""Cost in log wealth of not knowing the best bet."""
 
 Verdict = Literal["promoted", "stopped", "going on"]
 
 
 @dataclass(frozen=True)
 class Terms:
-    """How a comparison is held.
+    """Settings of a comparison.
 
     Parameters
     ----------
     share
-        Chance of the policy at first, in (0, 0.5].
+        Initial probability of the policy, in (0, 0.5].
     most_loss
-        What the policy may lose against the rule in all, with chance 0.05 at most more [reward]; None for no bound, and
-        then it is stopped where harm is seen.
+        Largest total loss of the policy against the rule, exceeded with probability at most 0.05 [reward]; None for no
+        bound, so that only harm stops the policy.
     """
 
     share: float = 0.2
@@ -47,24 +47,25 @@ class Terms:
 
 @dataclass(frozen=True)
 class Standing:
-    """How a comparison stands.
+    """State of a comparison.
 
     Parameters
     ----------
     num, num_policy
-        Trajectories that were dealt until the verdict, and to the policy.
+        Number of trajectories dealt until the verdict, and of those dealt to the policy.
     gain
-        What the policy earns more a trajectory than the rule [reward]; None where nothing is known.
+        Estimated gain of the policy over the rule, a trajectory [reward]; None if unknown.
     low, high
-        Bounds of the gain [reward]: `low` is above 0 of a policy that is no better with chance 0.025 at most, ever.
+        Bounds of the gain [reward]. For a policy that is no better, `low` ever exceeds 0 with probability at most
+        0.025.
     worst_loss
-        What its trajectories lost in all at most [reward]; more with chance 0.05 at most.
+        Upper bound of the policy's total loss [reward], exceeded with probability at most 0.05.
     share
-        Chance of the policy in the next trajectory.
+        Probability that the next trajectory goes to the policy.
     verdict
         "promoted", "stopped" or "going on".
     more
-        About how many trajectories more would decide; None where nobody knows.
+        Approximate number of further trajectories until a verdict; None if unknown.
     """
 
     num: int
@@ -93,18 +94,18 @@ def _signed(number: float) -> str:
 
 
 def standing(courses: Courses, terms: Terms, of: Counted | None = None, kept: Kept | None = None) -> Standing:
-    """Work out how a comparison stands.
+    """Compute the state of a comparison.
 
     Parameters
     ----------
     courses
         Its trajectories.
     terms
-        How it is held.
+        Its settings.
     of
-        What they add, where that is known.
+        Their contributions, if already computed.
     kept
-        What was worked out of those before them.
+        Cache from earlier trajectories.
     """
     of, num_policy = counted(courses) if of is None else of, int(courses.is_policy.sum())
     kept = Kept() if kept is None else kept
@@ -117,7 +118,7 @@ def standing(courses: Courses, terms: Terms, of: Counted | None = None, kept: Ke
     gain = float(of.bet_on @ of.excess / (of.bet_on @ of.share)) if len(of.excess) else np.nan
     more = _more(of) if verdict == "going on" else None
     known = [_finite(each) for each in (gain, low, high, worst)]
-    # Once the verdict is there, trajectories are no longer dealt.
+    # After the verdict, trajectories are no longer dealt.
     is_dealt = (courses.chance > 0.0) & (courses.chance < 1.0)
     dealt = int(is_dealt.sum()), int(courses.is_policy[is_dealt].sum())
     return Standing(*dealt, known[0], known[1], known[2], known[3], share, verdict, more)
@@ -145,7 +146,7 @@ def _share(courses: Courses, terms: Terms, likely: float) -> float:
 
 
 def _more(of: Counted) -> int | None:
-    """Trajectories until the wealth of who knows how much to bet is large enough, at the share of the last ones."""
+    """Number of trajectories until the wealth of an ideal bet suffices, at the share of the latest trajectories."""
     if not len(of.excess):
         return None
     outcome = of.bet_on * of.excess

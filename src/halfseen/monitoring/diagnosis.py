@@ -1,12 +1,12 @@
-"""Since when something has changed, and which part broke, in words.
+"""Diagnosis of an alarm: since when something has changed, and which part broke, in words.
 
-Values are taken for normal, with one mean before and another after the change. With S(τ) the sum of squares around the
-two means and n values, each place τ has the likelihood S(τ)^(−n/2); the interval holds the likeliest places that have
-95 % of all likelihood together, so it is a credible one under a prior that knows nothing. A reference stands for that
-many values before the first.
+Values are assumed normal, with one mean before the change and another after it. With n values and the sum of squares
+S(τ) around the two means, change point τ has the likelihood S(τ)^(−n/2). The interval holds the most likely points
+with 95 % of the total likelihood, so it is a credible interval under a flat prior. A reference counts as a number of
+values before the first.
 
-States and outcomes since the change, beside the log that was learned from, are no alarms: they say where to look first
-once there is one.
+Differences in states and outcomes between the training log and the log since the change raise no alarm. They show
+where to look first after an alarm.
 """
 
 from itertools import combinations
@@ -25,7 +25,7 @@ LEVEL = 0.95
 
 
 class ChangePoint(NamedTuple):
-    """Where values have changed, counted from 0: the first one of the new kind, and between which it lies."""
+    """Index of the first value after the change, from 0, and the interval that holds it."""
 
     at: int
     low: int
@@ -33,14 +33,14 @@ class ChangePoint(NamedTuple):
 
 
 def change_point(values: Float[np.ndarray, " n"], mean: float = 0.0, weight: float | int = 0.0) -> ChangePoint:
-    """Find where the mean of values has changed; NaN are no values.
+    """Estimate where the mean of values has changed; NaN is ignored.
 
     Parameters
     ----------
     values
-        In their order.
+        Values in order.
     mean, weight
-        Of a reference: its mean, and how many values it stands for.
+        Mean of the reference, and the number of values that it counts as.
     """
     there = np.flatnonzero(~np.isnan(values))
     x = values[there]
@@ -63,13 +63,13 @@ def change_point(values: Float[np.ndarray, " n"], mean: float = 0.0, weight: flo
 
 
 CLEARLY = 4.0
-"""Standard errors from which on a part is named."""
+"""Number of standard errors above which a part is named."""
 SWAPPED, OTHER_UNIT = "look swapped", "as if in another"
-"""What causes say of columns that hold something else than they held."""
+"""Words in causes for columns whose meaning has changed."""
 
 
 def differs(part: Stream, at: int) -> str:
-    """Say by how much an action differs from what the log says, from one trajectory on."""
+    """Describe how an action differs from the training log since a trajectory."""
     if part.kind == "swap":
         return f"covariates {part.about} {SWAPPED}"
     if part.kind == "move":
@@ -78,7 +78,7 @@ def differs(part: Stream, at: int) -> str:
 
 
 def part_words(what: str, action: str, mean: float, than: str = "than the log says of the same states") -> str:
-    """Say by how much an action brings or takes more or less: a mean reward, or a mean of logarithms of durations."""
+    """Describe a mean change of an action's reward, or of the logarithm of its duration."""
     amount = f"{abs(mean):.2g}" if what == "reward" else f"{abs(np.expm1(mean)):.0%}"
     verb, time = ("brings", "") if what == "reward" else ("takes", " time")
     unit = "" if what == "reward" else clock_unit(mean)
@@ -92,13 +92,13 @@ CLOCKS = {
     1e6: "microseconds for seconds",
     1e9: "nanoseconds for seconds",
 }
-"""What durations may have been multiplied by, and as if they were what; or divided by, the other way round."""
+"""Factors between units of time, and the mistake that multiplies durations by each; the inverse mistake divides."""
 ABOUT = 0.2
-"""Logarithm of a factor by which a mean may differ from that of a unit."""
+"""Largest difference between a mean change of log durations and the logarithm of a factor."""
 
 
 def clock_unit(mean: float) -> str:
-    """Say in which other unit a clock seems to be, by the mean change of the logarithms of durations; "" if in none."""
+    """Name the wrong unit that explains a mean change of log durations; "" if none does."""
     factor = min(CLOCKS, key=lambda one: abs(abs(mean) - np.log(one)))
     if abs(abs(mean) - np.log(factor)) > ABOUT:
         return ""
@@ -108,7 +108,7 @@ def clock_unit(mean: float) -> str:
 
 
 def moved(stream: Stream, at: int) -> str:
-    """Say how a stream has changed from one trajectory on."""
+    """Describe how a stream has changed since a trajectory."""
     there, at = stream.bins >= 0, max(at, 1)
     after = there & (np.arange(len(there)) >= at)
     now = float(stream.bins[after].mean()) if after.any() else np.nan
@@ -128,16 +128,16 @@ def moved(stream: Stream, at: int) -> str:
 
 
 BEYOND = 10.0
-"""Times the most that a trajectory could bring, from which on rewards are in another unit."""
+"""Multiple of the largest possible total above which rewards must be in another unit."""
 
 
 def rewards_in_another_unit(brings: Any, logs: Logs) -> tuple[str, ...]:
-    """Report rewards far larger than any that the log could bring.
+    """Report rewards far larger than the training log allows.
 
     Parameters
     ----------
     brings
-        The least and the most that a trajectory could bring by the log that was learned from; None if unknown.
+        Smallest and largest possible total of a trajectory, by the training log; None if unknown.
     logs
         The log of the service.
     """
@@ -152,16 +152,16 @@ def rewards_in_another_unit(brings: Any, logs: Logs) -> tuple[str, ...]:
 
 
 def input_words(promise: Any, logs: Logs, since: int) -> tuple[str, ...]:
-    """Say which covariates of the first stage look as if in another unit, swapped, or distributed otherwise.
+    """Name covariates of the first stage that seem to be in another unit, swapped, or distributed differently.
 
     Parameters
     ----------
     promise
-        Of the policy's folder.
+        Promise in the policy's folder.
     logs
         The log of its service.
     since
-        Trajectory from which on it is looked at, counted from 1.
+        First trajectory to use, counted from 1.
     """
     first = [each for each in promise["stages"] if each["stage"] == 1]
     units, drifts = drifts_of(_without_nulls(first), logs.select(logs.trajectory_ids[since - 1 :]))
@@ -169,23 +169,23 @@ def input_words(promise: Any, logs: Logs, since: int) -> tuple[str, ...]:
 
 
 def is_misrecorded(causes: tuple[str, ...]) -> bool:
-    """Whether columns, rather than the cell, have changed."""
+    """Whether the causes point to the recording of columns rather than to the cell."""
     return any(words in cause for cause in causes for words in (SWAPPED, OTHER_UNIT))
 
 
 def broken_parts(promise: Any, looks_at: Covariates, logs: Logs, since: int) -> tuple[str, ...]:
-    """Say which actions pay or take something else than the log says of the same states, the clearest first.
+    """Name actions whose reward or duration differs from the training log in the same states, the clearest first.
 
     Parameters
     ----------
     promise
-        Of the policy's folder.
+        Promise in the policy's folder.
     looks_at
-        The covariates that its models look at.
+        Covariates of its models.
     logs
         The log of its service.
     since
-        Trajectory from which on it is looked at, counted from 1.
+        First trajectory to use, counted from 1.
     """
     later = logs.select(logs.trajectory_ids[since - 1 :])
     rows, found = known_rows(looks_at, later), []
@@ -204,7 +204,7 @@ def broken_parts(promise: Any, looks_at: Covariates, logs: Logs, since: int) -> 
 
 
 def _swapped_moves(promise: Any, looks_at: Covariates, logs: Logs) -> tuple[str, ...]:
-    """Name two columns of which the one that never changed within a trajectory does, and the other no longer."""
+    """Name two columns that seem swapped: one now changes within trajectories but never did, the other stopped."""
     unmoved = (promise.get("unmoved") or {}).get("names", ())
     has_moved = {name: moves(logs, name)[1].any() for name in looks_at.columns if name in logs.stages.columns}
     one = [name for name in unmoved if has_moved.get(name)]
@@ -217,16 +217,16 @@ def _swapped_moves(promise: Any, looks_at: Covariates, logs: Logs) -> tuple[str,
 
 
 def _swapped(promise: Any, looks_at: Covariates, logs: Logs) -> tuple[str, ...]:
-    """Name two columns of numbers that the log's models fit clearly better the other way round, and so do states."""
+    """Name two numeric columns for which models and first states fit clearly better after a swap."""
     first = _without_nulls([each for each in promise["stages"] if each["stage"] == 1])
-    # What is always the same in the first stage cannot tell.
+    # A covariate that is constant in the first stage carries no information.
     differ = {name for each in first for name, one in each["covariates"].items() if len(one.get("values", ())) > 1}
     numbers = [name for name in looks_at.columns if name in differ]
     parts = [part for part in promise.get("parts", ()) if part["what"] == "reward" and part["deviation"] > 0.0]
     rows = known_rows(looks_at, logs)
 
     def misfit(frame: Any) -> tuple[float, float]:
-        """Sum of squares of residuals, and their mean in standard errors."""
+        """Sum of squared residuals, and the absolute value of their mean in standard errors."""
         each = [part_residuals(part, looks_at, frame[frame["action"].astype(str) == part["action"]]) for part in parts]
         left = np.concatenate([one / part["deviation"] for one, part in zip(each, parts, strict=True)] or [np.zeros(0)])
         return float(left @ left), float(abs(left.sum()) / np.sqrt(max(len(left), 1)))

@@ -1,10 +1,11 @@
-"""What a log holds that the policy in service does not know or did not do, in words.
+"""Categories and actions that the policy in service does not know, or did not choose, in words.
 
-Where a category stands that the log never showed, the policy steps back. No model says anything of such a state, so
-that nothing is held against one there; how often it comes is watched as that of any other category.
+In a state with a category that the training log never showed, the policy steps back. No model covers such a state, so
+it is not compared with one. The frequency of the category is watched like that of any other.
 
-In a log of the service, no other action has as large a probability as the policy's own, so what was done with more than
-one half, and not by the rule in its place, is its own. A log of which most is not is another's.
+In a log of the service, the policy's own action has the largest probability. So an action with a probability above one
+half is the policy's own, unless the rule took it in the policy's place. A log in which most actions are not the
+policy's own comes from elsewhere.
 """
 
 from collections.abc import Collection
@@ -21,13 +22,14 @@ from halfseen.shapes import Bool
 from halfseen.wording import counted
 
 HALF = 0.5
-"""Probability beyond which an action was hardly drawn; and share of such actions beyond which a log is another's."""
+"""Probability above which an action was hardly drawn to explore; and share of other such actions above which a log is
+not the policy's."""
 ERRORS = 3.0
-"""Standard errors of that share, at most, below which it is no chance."""
+"""Number of standard errors by which that share must exceed `HALF`."""
 
 
 def in_known_categories(looks_at: Covariates, logs: Logs) -> Logs:
-    """The same log, as the model of cuts takes it: with the first known category in the place of others."""
+    """The log with unknown categories replaced by the first known one, as the censoring model needs it."""
     if looks_at.knows(logs.stages).all():
         return logs
     columns: dict[str, Any] = {}
@@ -38,14 +40,14 @@ def in_known_categories(looks_at: Covariates, logs: Logs) -> Logs:
 
 
 def unknown_actions(policy: Any, logs: Logs) -> tuple[str, ...]:
-    """Name each action that is none of the policy's, and how often it was taken."""
+    """Name each action that the policy does not have, and how often it was taken."""
     counts: Any = logs.stages["action"].value_counts()
     others = {action: int(count) for action, count in counts.items() if count and action not in policy.actions}
     return tuple(_not_known(shown(action), count, int(counts.sum()), policy) for action, count in others.items())
 
 
 def refuse_unknown_alone(policy: Any, logs: Logs) -> None:
-    """Refuse a log of which the policy knows no action."""
+    """Refuse a log in which the policy knows none of the actions."""
     names = logs.stages["action"].dropna().unique()
     if len(names) and not set(names) & set(policy.actions):
         raise LogError(f"none of its actions is the policy's. {unknown_actions(policy, logs)[0]}")
@@ -63,7 +65,7 @@ def _other_spelling(name: str, known: Collection[Any]) -> str:
 
 
 def own_actions(policy: Any, looks_at: Covariates, stages: Any) -> Bool[np.ndarray, " m"]:
-    """In which stages with a known action the policy would have done the same, or stepped back, as its service does."""
+    """Whether, in each stage with a known action, the policy would have done the same or stepped back."""
     is_own = np.zeros(len(stages), dtype=bool)
     if STEPPED_BACK in stages.columns:
         is_own |= stages[STEPPED_BACK].notna().to_numpy()
@@ -73,7 +75,7 @@ def own_actions(policy: Any, looks_at: Covariates, stages: Any) -> Bool[np.ndarr
 
 
 def not_its_own(policy: Any, looks_at: Covariates, logs: Logs, is_of_policy: Bool[np.ndarray, " n"]) -> str:
-    """Say that a log is of no service of the policy; "" where it may be.
+    """A sentence if a log does not come from the policy's service; "" if it may.
 
     Parameters
     ----------
@@ -84,7 +86,7 @@ def not_its_own(policy: Any, looks_at: Covariates, logs: Logs, is_of_policy: Boo
     logs
         The log.
     is_of_policy
-        Which of its trajectories are said to be the policy's.
+        Whether each of its trajectories is labelled as the policy's.
     """
     is_asked = np.isin(logs.stages["trajectory"], logs.trajectory_ids[is_of_policy])
     stages: Any = logs.stages[is_asked & logs.stages["action"].notna().to_numpy()]
@@ -103,7 +105,7 @@ def not_its_own(policy: Any, looks_at: Covariates, logs: Logs, is_of_policy: Boo
 
 
 def unknown_categories(looks_at: Covariates, logs: Logs) -> tuple[str, ...]:
-    """Name each category that the log never showed, and how often it is there."""
+    """Name each category that the training log never showed, and how often it occurs."""
     found = []
     for name in looks_at.columns:
         if name not in looks_at.categories:

@@ -1,7 +1,7 @@
-"""A policy in service: what it earns beside what was promised, what has changed, and since when.
+"""Monitoring of a policy in service: its earnings against the promise, what has changed, and since when.
 
-Four families of bets share the chance of a false alarm in a whole lifetime, 5 %, as `ALPHAS`; .5 % is that of the
-promise itself. Most goes to what all actions bring, as whatever harms shows there.
+Four families of bets and the sampling error of the promise share the 5 % false-alarm probability of a whole lifetime:
+`ALPHAS` for the families, 0.5 % for the promise. Rewards of all actions get the most, since any harm shows there.
 """
 
 from dataclasses import dataclass
@@ -57,32 +57,32 @@ from halfseen.wording import counted
 
 ALPHAS = {"rewards": 0.025, "promise": 0.006, "inputs": 0.006, "parts": 0.006}
 SURELY = 2.576
-"""Standard errors below what was promised, from which on less is earned; by chance in .5 %."""
+"""Number of standard errors below the promise at which a shortfall begins; 0.5 % by chance."""
 OWN = 0.9
-"""Share of the actions that are the policy's, from which on what is earned is what it earns."""
+"""Smallest share of the policy's own actions for which the earnings count as the policy's."""
 RUNNING = "still-running"
 
 
 @dataclass(frozen=True, eq=False)
 class Bets:
-    """Everything that is bet on a log.
+    """All bets on a log.
 
     Parameters
     ----------
     logs
         Its trajectories that have ended.
     payoffs
-        By family.
+        Payoffs by family.
     streams
-        What the gamblers of a family look at, but for the one who looks at all covariates, and that of the promise.
+        Streams of the gamblers of a family, except those of the joint covariates and of the promised value.
     outcomes
-        What each trajectory adds to what is earned; None where that is not known.
+        Outcome of each trajectory; None if unknown.
     notes
         What is not watched.
     doubts
         What the policy does not know, in words.
     foreign
-        That the log is of no service of the policy, in words; "" where it is.
+        A sentence if the log does not come from the policy's service, else "".
     """
 
     logs: Logs
@@ -95,9 +95,9 @@ class Bets:
 
 
 def monitored(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Monitored:
-    """Watch a policy by the log of its service, of which trajectories that have ended count, in their order.
+    """Monitor a policy by the log of its service. Only trajectories that have ended count, in order.
 
-    The same log with more at its end gives the same and more: an alarm stays.
+    Trajectories appended to the log do not change earlier results, so an alarm stays.
 
     Parameters
     ----------
@@ -106,12 +106,12 @@ def monitored(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Monitored:
     logs
         The log.
     seed
-        Of what breaks ties.
+        Seed of the random tie-breaking.
 
     Raises
     ------
     PolicyError
-        The policy's folder keeps nothing of the log that was learned from.
+        The policy's folder keeps nothing of the training log.
     LogError
         The policy knows none of the log's actions.
     """
@@ -120,7 +120,7 @@ def monitored(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Monitored:
 
 
 def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
-    """Bet on a log; as `monitored`."""
+    """Bet on a log, with the parameters and errors of `monitored`."""
     promise = stored.record.get("promise")
     if promise is None:
         raise PolicyError("its folder promises nothing, as those of halfseen 0.1; learn the policy again")
@@ -165,16 +165,16 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
 
 
 def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n F"]) -> Monitored:
-    """Say what the bets on a log have come to.
+    """Summarise the result of the bets on a log.
 
     Parameters
     ----------
     stored
         The policy.
     bets
-        What was bet.
+        The bets.
     log_wealth
-        Of all gamblers, family by family.
+        Logarithm of the wealth of all gamblers, family by family.
     """
     promise, logs, outcomes = stored.record["promise"], bets.logs, bets.outcomes
     ends = np.cumsum([each.shape[1] for each in bets.payoffs.values()])
@@ -184,7 +184,7 @@ def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n
     findings.sort(key=lambda each: (each.alarm_at, each.p_value))
     unit = rewards_in_another_unit(promise.get("brings"), logs)
     if unit:
-        # Residuals of such rewards are as large wherever they are looked for.
+        # Such rewards make all residuals large, whichever covariates are swapped.
         findings = [each for each in findings if SWAPPED not in each.words] or findings
     causes: tuple[str, ...] = ()
     if findings:
@@ -212,7 +212,7 @@ def _pays(stored: StoredPolicy, logs: Logs, since: int, earned: dict[str, float]
 
 
 def looks_at_of(policy: Any) -> Covariates:
-    """Covariates of a policy of named actions; none of another."""
+    """Covariates of a policy of named actions; empty for other policies."""
     return Covariates(tuple(getattr(policy, "covariates", ())), getattr(policy, "categories", {}))
 
 
@@ -240,7 +240,7 @@ def _joint(looks_at: Covariates, logs: Logs, reference: list[list[float]], seed:
 
 
 def _is_own(logs: Logs) -> Bool[np.ndarray, " n"]:
-    """Which trajectories are the policy's; of a comparison, not all."""
+    """Whether each trajectory is the policy's; in a comparison, some are the rule's."""
     if ARM not in logs.trajectories:
         return np.ones(logs.num_trajectories, dtype=bool)
     return np.asarray(~logs.trajectories[ARM].eq(RULE).fillna(False), dtype=bool)
@@ -249,7 +249,7 @@ def _is_own(logs: Logs) -> Bool[np.ndarray, " n"]:
 def _own_outcomes(
     stored: StoredPolicy, logs: Logs, is_own: Bool[np.ndarray, " n"], promise: Any, notes: list[str]
 ) -> Outcomes | None:
-    """As `_outcomes`; the rule's trajectories are not looked at."""
+    """The result of `_outcomes`, with NaN for the rule's trajectories."""
     if is_own.all():
         return _outcomes(stored, logs, promise, notes)
     notes.append(f"{counted(int((~is_own).sum()), 'trajectory')} of the rule say nothing of what the policy earns")
@@ -261,7 +261,7 @@ def _own_outcomes(
 
 
 def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) -> Outcomes | None:
-    """What each trajectory adds to what is earned; None, and a note, where that is not the policy's."""
+    """Outcome of each trajectory; None, with a note, if the earnings are not the policy's."""
     if promise.get("brings") is None:
         notes.append(
             "the folder does not keep what a trajectory can bring, so its promise is not watched; learn it again"
@@ -291,7 +291,7 @@ def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) 
 
 
 def _own_share(stored: StoredPolicy, logs: Logs) -> float:
-    """Share of the actions that are the policy's, or its rule's where it stepped back."""
+    """Share of the actions that are the policy's, or its rule's after a step back."""
     if hasattr(stored.policy, "decide") and isinstance(stored.policy, NamedActionPolicy):
         known: Any = logs.stages[logs.stages["action"].notna()]
         own = own_actions(stored.policy, looks_at_of(stored.policy), known)

@@ -1,18 +1,18 @@
-"""What each trajectory adds to a mean under cuts, and bounds on that mean that hold at all times at once.
+"""Censoring-adjusted outcomes of trajectories, and time-uniform confidence bounds on their mean.
 
-A trajectory i brings Y_i in all, which is seen where it was not cut, δ_i = 1. With Ĝ and a forecast s of Y from the
-trajectories before it alone,
+The total reward Y_i of trajectory i is observed if it was not cut, δ_i = 1. With Ĝ and a forecast s of Y from earlier
+trajectories only,
 
     ξ_i = s + w_i (Y_i − s),    w_i = min(δ_i / Ĝ(T_i⁻ | z_i), c_i),
 
-has the mean of Y, and lies within s + c (low − s) and s + c (high − s) for Y within low and high
-[WaudbySmithEtAl2024]_. The forecast takes most of the noise of the weights away, and makes an error of Ĝ or the bound c
-a matter of second order. The bound c_i is the largest weight among the trajectories before: 1 where nothing is cut.
+has the mean of Y, and lies between s + c (low − s) and s + c (high − s) for Y in [low, high] [WaudbySmithEtAl2024]_.
+The forecast removes most of the noise of the weights, and makes an error of Ĝ or the bound c a second-order effect.
+The bound c_i is the largest weight among earlier trajectories: 1 without cuts.
 
-Bounds may be looked at after every trajectory: P(there is a t at which the mean lies outside) ≤ α for outcomes
-x_i ∈ [low_i, high_i] of one mean, whose range is known before they are seen; outcomes may depend on those before them.
-A gambler bets against each candidate m, with K_t(m) = Π_i (1 ± λ_i (x_i − m)); the sequence holds the m against which
-nobody has multiplied the stake by 2/α. λ_i is a predictable plug-in from the mean and the variance so far
+The bounds hold after every trajectory: P(there is a t at which the mean lies outside) ≤ α for outcomes
+x_i ∈ [low_i, high_i] with a common mean and ranges known in advance; outcomes may depend on earlier ones. A gambler
+bets against each candidate m, with K_t(m) = Π_i (1 ± λ_i (x_i − m)). The confidence sequence holds every m against
+which neither bet has multiplied the stake by 2/α. λ_i is a predictable plug-in from the mean and the variance so far
 [WaudbySmithRamdas2024]_.
 """
 
@@ -27,7 +27,7 @@ from halfseen.errors import ArgumentError, HalfseenError
 from halfseen.shapes import Bool, Float
 
 MOST_BET = 0.75
-"""Share of the stake that one outcome may lose."""
+"""Largest share of the stake that one outcome may lose."""
 
 
 class Course(NamedTuple):
@@ -38,16 +38,16 @@ class Course(NamedTuple):
 
 
 class BettingBounds:
-    """The hedged betting sequence, on a grid of candidates.
+    """Hedged betting confidence sequence, on a grid of candidates.
 
     Parameters
     ----------
     low, high
-        Between what the mean lies.
+        Range of the mean.
     alpha
-        Chance that the mean is ever outside.
+        Probability that the mean is ever outside the bounds.
     num_points
-        Candidates between `low` and `high`; bounds are rounded outwards to them.
+        Number of candidates from `low` to `high`; bounds are rounded outwards to them.
     """
 
     def __init__(self, low: float, high: float, alpha: float = 0.05, num_points: int = 401) -> None:
@@ -63,25 +63,25 @@ class BettingBounds:
         self._log_need = float(np.log(2.0 / alpha))
         self._log_up, self._log_down = np.zeros(num_points), np.zeros(num_points)
         self.num = 0
-        # Mean and variance so far, begun with one outcome that says nothing.
+        # Mean and variance so far, regularised by one pseudo-outcome.
         self._total, self._squares = 0.5 * (self.low + self.high), 0.25 * (self.high - self.low) ** 2
 
     def add(
         self, values: ArrayLike | float, lows: ArrayLike | float | None = None, highs: ArrayLike | float | None = None
     ) -> Course:
-        """Go on with the next outcomes.
+        """Update the bounds with the next outcomes.
 
         Parameters
         ----------
         values
-            The outcomes in their order, shape (n,).
+            The outcomes in order, shape (n,).
         lows, highs
-            Between what each had to lie, as known before it was seen; by default where the mean lies.
+            Range of each outcome, known in advance; by default the range of the mean.
 
         Raises
         ------
         ArgumentError
-            An outcome lies outside of its range, or its range does not hold that of the mean.
+            An outcome lies outside its range, or its range does not contain that of the mean.
         """
         x = np.atleast_1d(np.asarray(values, dtype=np.float64))
         below = np.broadcast_to(np.asarray(self.low if lows is None else lows, dtype=np.float64), x.shape)
@@ -102,7 +102,7 @@ class BettingBounds:
         return Course(lower, upper)
 
     def _bets(self, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """λ of these outcomes (eq. 26), by the variance before each; they are then counted."""
+        """λ of these outcomes (eq. 26), from the variance before each; updates mean and variance."""
         t = self.num + np.arange(1, len(x) + 1)
         means = (self._total + np.cumsum(x)) / (t + 1)
         squares = np.append(self._squares, self._squares + np.cumsum((x - means) ** 2))
@@ -113,7 +113,7 @@ class BettingBounds:
     def _last_out(
         self, log_capital: Float[np.ndarray, "n M"], candidates: Float[np.ndarray, " M"]
     ) -> Float[np.ndarray, " n"]:
-        """The last of the first candidates that are all ruled out; the first where none is."""
+        """The last candidate of the leading run that is ruled out; the first candidate if none is."""
         num_out = np.logical_and.accumulate(log_capital >= self._log_need, axis=1).sum(axis=1)
         return candidates[np.maximum(num_out - 1, 0)]
 
@@ -129,15 +129,15 @@ class BettingBounds:
 
 
 LARGEST_WEIGHT = 4.0
-"""Of c, unless another is given."""
+"""Default upper limit of c."""
 FEWEST = 20
-"""Trajectories from which Ĝ is first estimated; before, nothing is weighed."""
+"""Number of trajectories for the first estimate of Ĝ; earlier ones get no weight."""
 MORE = 1.5
-"""Ĝ is estimated again once there are so many times as many trajectories."""
+"""Factor by which the number of trajectories grows between two estimates of Ĝ."""
 
 
 class Outcomes(NamedTuple):
-    """ξ, and between what each had to lie; NaN, and not to be used, where nothing was weighed yet."""
+    """ξ and the range of each; NaN for the first trajectories, which are not weighted."""
 
     values: Float[np.ndarray, " n"]
     lows: Float[np.ndarray, " n"]
@@ -147,21 +147,21 @@ class Outcomes(NamedTuple):
 
     @property
     def is_weighed(self) -> Bool[np.ndarray, " n"]:
-        """Which there are."""
+        """Whether each trajectory has an outcome."""
         return ~np.isnan(self.values)
 
 
 class CensoredOutcomes:
-    """ξ of trajectories that come one by one or in batches; by the past alone, whatever the batches.
+    """Computes ξ of trajectories one by one or in batches, from earlier ones only; the batches do not matter.
 
     Parameters
     ----------
     low, high
-        Between what a trajectory's rewards add up to.
+        Range of a trajectory's total reward.
     censoring
         How Ĝ is estimated.
     largest_weight
-        That no c_i exceeds, ≥ 1.
+        Upper limit of every c_i, ≥ 1.
     """
 
     def __init__(
@@ -187,19 +187,19 @@ class CensoredOutcomes:
         return len(self._totals)
 
     def add(self, clocks: StageClocks, totals: ArrayLike) -> Outcomes:
-        """Weigh the next trajectories.
+        """Compute the outcomes of the next trajectories.
 
         Parameters
         ----------
         clocks
-            Their clocks, and what cuts may depend on.
+            Their clocks, and the covariates that cuts may depend on.
         totals
-            What each brought in all, shape (n,); of one that was cut it is not looked at.
+            Total reward of each, shape (n,); ignored for a cut trajectory.
 
         Raises
         ------
         ArgumentError
-            A trajectory brought more or less than it can.
+            A total lies outside the range.
         """
         total = np.atleast_1d(np.asarray(totals, dtype=np.float64))
         wrong = clocks.is_finished & ~((total >= self.low) & (total <= self.high))
@@ -228,7 +228,7 @@ class CensoredOutcomes:
         try:
             return self.censoring.fit_cuts(past)
         except HalfseenError:
-            # Too few trajectories for what cuts depend on.
+            # Too few trajectories for the covariates of cuts.
             return CensoringSpec(truncate_at=self.largest_weight).fit_cuts(past)
 
     def _weighed(self, which: slice) -> Outcomes:
@@ -239,7 +239,7 @@ class CensoredOutcomes:
         weight = self._weight + np.cumsum(finished)
         weighted = self._weighted + np.cumsum(finished * total)
         before, before_weighted = np.append(self._weight, weight)[:-1], np.append(self._weighted, weighted)[:-1]
-        # As if one trajectory more had brought what is in the middle.
+        # Regularised by one pseudo-trajectory at the middle of the range.
         forecast = (before_weighted + 0.5 * (self.low + self.high)) / (before + 1.0)
         self._weight, self._weighted = float(weight[-1]), float(weighted[-1])
         reach = self._reach

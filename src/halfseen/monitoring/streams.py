@@ -1,8 +1,8 @@
-"""What is watched beside the reward: of each trajectory its covariates by stage, what its actions brought, its cut.
+"""Streams that are watched besides the total: covariates by stage, rewards and durations of actions, and cuts.
 
-A covariate of the first stage is held against the log that was learned from: no action has come before it. What comes
-later depends on who decides, so it is held against what the policy itself has seen so far; rewards and durations are
-held against both, given the state.
+A covariate of the first stage is compared with the training log, since no action precedes it. Later covariates depend
+on the policy, so they are compared with its own service so far. Rewards and durations, given the state, are compared
+with both.
 """
 
 from collections.abc import Mapping
@@ -23,46 +23,46 @@ from halfseen.shapes import Bool, Float, Int
 Kind = Literal["input", "reward", "duration", "cut", "swap", "move"]
 
 OFF, MISFIT = 0.01, 0.1
-"""What a mean residual may be off: as many standard errors as any of the log's models exceeds with this chance, and a
-tenth of the residuals' deviation, by which its line may be bent."""
+"""Tolerance of a mean residual: the standard errors that any of the log's models exceeds with probability `OFF`, and
+`MISFIT` times the residuals' deviation for nonlinearity."""
 LEAST_DEVIATION = 0.1
-"""Of the largest among the actions: what always brought the same may now bring a little else."""
+"""Smallest deviation, as a share of the largest among the actions: a reward that was constant may now vary a little."""
 ZERO_OF = 3.0
-"""What never happened in n steps has a chance of at most 3 / n, at 95 %."""
+"""An event that never happened in n steps has a probability of at most 3 / n, at 95 %."""
 MOST_PAIRS = 15
-"""Of covariates that may be swapped; others differ so much that each shows it by itself."""
+"""Most pairs of covariates tested for a swap; in other pairs each covariate shows a swap by itself."""
 _NOTHING = (np.zeros(0), np.zeros(0), np.zeros(0, dtype=int))
 
 
 @dataclass(frozen=True)
 class Stream:
-    """Values, one a trajectory, in bins that were fixed before.
+    """Values, one per trajectory, in bins that were fixed in advance.
 
     Parameters
     ----------
     kind
-        What it is of.
+        Kind of the stream.
     about
-        The covariate, or the action, or the two covariates that may be swapped; "" for cuts.
+        The covariate, the action, or the two covariates that may be swapped; "" for cuts.
     stage
-        Of a covariate.
+        Stage of a covariate.
     values
-        NaN where a trajectory has none; of text the number of its bin.
+        NaN for a trajectory without a value; the bin number for text.
     bins
-        −1 where there is none.
+        Bin of each value; −1 without a value.
     counts
-        Values of the reference in each bin; all 0 where there is none.
+        Number of reference values in each bin; all 0 without a reference.
     is_number
-        Whether bins have an order that means something.
+        Whether the order of the bins is meaningful.
     residuals, trajectory
-        Of a part: each residual from the log's model, and the place of its trajectory; of a covariate that never
-        changed within a trajectory, 1 for each step in which it did.
+        Residuals from the log's model, and the index of the trajectory of each. For a covariate that never changed
+        within a trajectory, 1 for each step in which it did.
     tolerance
-        What the model may be off there, either way.
+        Tolerance of the model for each residual, in either direction.
     reach
-        Where residuals are clipped, either way.
+        Absolute value at which residuals are clipped.
     num_states
-        States of the log that the model was fitted to.
+        Number of states of the log that the model was fitted to.
     """
 
     kind: Kind
@@ -80,12 +80,12 @@ class Stream:
 
     @property
     def is_against_log(self) -> bool:
-        """Whether the reference is the log that was learned from."""
+        """Whether the reference is the training log."""
         return bool(self.counts.any())
 
     @property
     def name(self) -> str:
-        """In words."""
+        """Name of the stream, in words."""
         if self.kind == "input":
             return f"{self.about} in stage {self.stage}"
         if self.kind in {"swap", "move"}:
@@ -94,7 +94,7 @@ class Stream:
 
 
 def input_streams(promised: Any, logs: Logs) -> list[Stream]:
-    """Covariates by stage, as `halfseen.policies.folder.promised_parts.promised_states` describes those of the log."""
+    """Streams of covariates by stage, as described by `halfseen.policies.folder.promised_parts.promised_states`."""
     streams = []
     for entry in promised:
         rows: Any = logs.stages[logs.stages["stage"] == entry["stage"]]
@@ -110,7 +110,7 @@ def input_streams(promised: Any, logs: Logs) -> list[Stream]:
 
 
 def part_streams(parts: Any, looks_at: Covariates, logs: Logs) -> list[Stream]:
-    """Residuals of rewards and durations of each action, their sum over a trajectory; and whether it was cut."""
+    """Streams of reward and duration residuals of each action, summed over a trajectory; and of cuts."""
     rows, streams = known_rows(looks_at, logs), []
     largest = {what: max(part["deviation"] for part in parts if part["what"] == what) for what in WHATS if parts}
     errors = float(ndtri(1.0 - 0.5 * OFF / max(len(parts), 1)))
@@ -129,7 +129,7 @@ def part_streams(parts: Any, looks_at: Covariates, logs: Logs) -> list[Stream]:
 
 
 def whole_stream(streams: list[Stream], parts: Any, num: int) -> Stream:
-    """Rewards of all actions that are not always the same, together: each may fall short by too little to notice."""
+    """Pooled reward stream of all actions with varying rewards; each shortfall alone may be too small to detect."""
     largest = max(part["deviation"] for part in parts if part["what"] == "reward")
     some = [
         (stream, part)
@@ -143,23 +143,23 @@ def whole_stream(streams: list[Stream], parts: Any, num: int) -> Stream:
 
 
 def swap_streams(streams: list[Stream], parts: Any, looks_at: Covariates, logs: Logs, first: Any) -> list[Stream]:
-    """Residuals of rewards, of each two covariates, turned to where a swap of the two would drive them.
+    """Streams of reward residuals for each pair of covariates, signed in the direction of a swap.
 
-    Let the model be off by at most its tolerance ε, and say Δ more of a state, had the two changed places. Then the
-    residual r has E[sign(Δ) r | state] ≤ ε; if they did change places, it is |Δ|. Only states with |Δ| > 2ε count.
+    Let the model err by at most its tolerance ε, and let swapping the two covariates raise its prediction by Δ. Then
+    the residual r has E[sign(Δ) r | state] ≤ ε without a swap, and |Δ| with one. Only states with |Δ| > 2ε count.
 
     Parameters
     ----------
     streams
-        Of the parts.
+        Streams of the parts.
     parts
         Models of the log.
     looks_at
-        Covariates that they look at.
+        Covariates of the models.
     logs
         The log of the service.
     first
-        Covariates of the first stage of the log that was learned from, as `input_streams` takes them.
+        Covariates of the first stage of the training log, as in `input_streams`.
     """
     pairs, rows = zip(parts, streams, strict=False), known_rows(looks_at, logs)
     rewards = [(part, of) for part, of in pairs if part["what"] == "reward" and part["deviation"] > 0.0]
@@ -180,7 +180,7 @@ def swap_streams(streams: list[Stream], parts: Any, looks_at: Covariates, logs: 
 
 
 def move_streams(unmoved: Any, logs: Logs) -> list[Stream]:
-    """Whether covariates that never changed within a trajectory of the log do, step by step."""
+    """Streams of the steps that change a covariate which never changed within a trajectory of the training log."""
     streams = []
     for name in [name for name in (unmoved or {}).get("names", ()) if name in logs.stages.columns]:
         trajectory, has_moved = moves(logs, name)
@@ -190,7 +190,7 @@ def move_streams(unmoved: Any, logs: Logs) -> list[Stream]:
 
 
 def swappable(first: Any, looks_at: Covariates) -> list[tuple[str, str]]:
-    """Pairs of numbers that differ from state to state, those first whose distributions are most alike."""
+    """Pairs of varying numeric covariates, the most similar distributions first."""
     seen = {name: one for each in first if each["stage"] == 1 for name, one in each["covariates"].items()}
     numbers = [name for name in looks_at.columns if len(seen.get(name, {}).get("values") or ()) > 1]
 
@@ -206,7 +206,7 @@ def swappable(first: Any, looks_at: Covariates) -> list[tuple[str, str]]:
 def _together(
     kind: Kind, about: str, pieces: Any, knots: np.ndarray, num: int, reach: float, num_states: int
 ) -> Stream:
-    """Residuals, tolerances and trajectories of several parts, in the order of trajectories."""
+    """Stream of the residuals of several parts, in the order of trajectories."""
     left, tolerance, trajectory = (np.concatenate(each) for each in zip(*pieces, strict=True)) if pieces else _NOTHING
     # Within a trajectory the order does not matter.
     order = np.argsort(trajectory, kind="stable")
@@ -219,7 +219,7 @@ def _together(
 
 
 def own_alone(streams: list[Stream], is_own: Bool[np.ndarray, " n"]) -> list[Stream]:
-    """Leave others' trajectories out of what is held against the service so far, which depends on who decides."""
+    """Drop trajectories of others from streams that are compared with the policy's own service so far."""
     return [
         one
         if one.is_against_log
@@ -229,7 +229,7 @@ def own_alone(streams: list[Stream], is_own: Bool[np.ndarray, " n"]) -> list[Str
 
 
 def _error(part: Any, looks_at: Covariates, rows: Any, deviation: float) -> Float[np.ndarray, " m"]:
-    """Standard error of the log's model in each of these rows."""
+    """Standard error of the log's model in each row, including its misfit."""
     if not len(rows):
         return np.zeros(0)
     features = np.column_stack([np.ones(len(rows)), expanded_as(part, looks_at.encode(rows))])
@@ -239,13 +239,13 @@ def _error(part: Any, looks_at: Covariates, rows: Any, deviation: float) -> Floa
 
 
 def known_rows(looks_at: Covariates, logs: Logs) -> Any:
-    """Rows of `outcome_rows` but those of a category that the log never showed, of which no model says anything."""
+    """Rows of `outcome_rows` without categories that the training log never showed, which no model covers."""
     rows = outcome_rows(logs)
     return rows[looks_at.knows(rows)]
 
 
 def part_residuals(part: Mapping[str, Any], looks_at: Covariates, rows: Any) -> Float[np.ndarray, " m"]:
-    """What the log's model of a part leaves of these rows of `outcome_rows`."""
+    """Residuals of the log's model of a part in these rows of `outcome_rows`."""
     if not len(rows):
         return np.zeros(0)
     return residuals(part, looks_at.encode(rows), rows[part["what"]].to_numpy(dtype=np.float64))
@@ -262,7 +262,7 @@ def _spread(values: Any, at: Any, num: int, empty: float | int) -> Float[np.ndar
 
 
 def _binned(described: Mapping[str, Any], values: Any, at: Any, num: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """Of each trajectory, the number that its value is compared by, and its bin; and how many bins there are."""
+    """Numeric value and bin of each trajectory, and the number of bins."""
     places = described.get("values") or described["names"]
     if described.get("values") is None:
         bins = pd.Index(places).get_indexer(values.astype(str))
@@ -271,7 +271,7 @@ def _binned(described: Mapping[str, Any], values: Any, at: Any, num: int) -> tup
         numbers = values.to_numpy(dtype=np.float64)
         bins = np.searchsorted(places, numbers, side="left")
     else:
-        # Text where numbers were: beyond all of them.
+        # Text instead of numbers goes into the last bin.
         numbers, bins = np.nan, len(places)
     return _spread(numbers, at, num, np.nan), _spread(bins, at, num, -1).astype(int), len(places) + 1
 

@@ -1,11 +1,11 @@
-"""Whether a log that is to be learned from is of one cell: which part of it has changed, and since when.
+"""Whether a training log comes from one unchanged cell: which part of the cell has changed, and since when.
 
-Watched is what does not hang on who decided: covariates of the first stage; what each action brings, how long it takes
-and what it leads to, given the state, less what a regression on the whole log says; cuts less their cumulative hazard
-[FlemingHarrington1991]_. Of each, trajectory by trajectory, the test asks where the means before and after lie farthest
-apart, in standard errors, over all places. Without change the trajectories are exchangeable, so the largest of that
-over everything watched is compared with what it is of trajectories in random order [WestfallYoung1993]_. A log has its
-end, and this notices more than bets that may be looked at at any time.
+The test uses only quantities that do not depend on the behaviour policy: covariates of the first stage; the reward,
+duration and next state of each action, as residuals of a regression on the state over the whole log; and cuts minus
+their cumulative hazard [FlemingHarrington1991]_. For each, the statistic is the largest difference, in standard errors,
+between the means before and after any trajectory. Without change the trajectories are exchangeable, so the maximum
+over all quantities is compared with that of randomly permuted trajectories [WestfallYoung1993]_. A log is finite, so
+this test has more power than anytime-valid bets.
 """
 
 from collections.abc import Callable, Iterator
@@ -31,18 +31,18 @@ ALPHA, NUM_ORDERS = 0.02, 199
 
 @dataclass(frozen=True)
 class Change:
-    """A part of the cell that a log says has changed.
+    """A detected change of a part of the cell within a log.
 
     Parameters
     ----------
     words
-        What, and how.
+        What has changed, and how.
     p_value
-        Adjusted for everything that is watched.
+        Adjusted for all quantities that are watched.
     since, since_low, since_high
-        Name of the trajectory from which on it has changed, and between which that lies.
+        Name of the first trajectory after the change, and the interval of its estimate.
     num_since
-        Trajectories from there on.
+        Number of trajectories from there on.
     """
 
     words: str
@@ -54,33 +54,33 @@ class Change:
 
     @property
     def sentence(self) -> str:
-        """All of it."""
+        """The change in one sentence."""
         between = f"{self.since_low} to {self.since_high}"
         since = f"since about trajectory {self.since} ({between}), in the last {self.num_since}"
         return f"the cell has changed within the log: {self.words}, {since}"
 
 
 class Watched(NamedTuple):
-    """A value of each trajectory, NaN where it has none, and what to say if their mean changes at one of them."""
+    """A value of each trajectory, NaN if it has none, and the description of a change of the mean."""
 
     scores: Float[np.ndarray, " n"]
     says: Callable[[int], str]
     least: float = 0.0
-    """What their deviation is taken for at least: a regression may be wrong by a little where nothing else varies."""
+    """Lower limit of their deviation: a regression may be slightly wrong where nothing else varies."""
 
 
 def changes_in(logs: Logs, policy: Any, seed: int = 0) -> list[Change]:
-    """Tell what has changed in a log, in the order of its trajectories, the clearest first; most often nothing.
+    """Detect changes within a log, the clearest first; most often there are none.
 
     Parameters
     ----------
     logs
-        The log.
+        The log, with its trajectories in order.
     policy
-        What was learned from it, which tells the covariates that matter; of tables, and where states have more than
-        `MOST_FEATURES`, no states are compared.
+        Policy that was learned from it, which defines the covariates. States are not compared for policies of tables,
+        nor with more than `MOST_FEATURES` features.
     seed
-        Of the random orders.
+        Seed of the permutations.
     """
     looks_at = looks_at_of(policy)
     if looks_at.num_features > MOST_FEATURES:
@@ -97,17 +97,17 @@ def changes_in(logs: Logs, policy: Any, seed: int = 0) -> list[Change]:
 
 def _change(names: list[Any], watched: Watched, p_value: float) -> Change:
     found, there = change_point(watched.scores), np.flatnonzero(~np.isnan(watched.scores))
-    # The likeliest place may be nearer to an end than any that was tested.
+    # The most likely change point may be nearer to an end than any tested one.
     at = int(there[np.clip(np.searchsorted(there, found.at), FEWEST, len(there) - FEWEST)])
     low, high = min(found.low, at), max(found.high, at)
     return Change(watched.says(at), p_value, names[at], names[low], names[high], len(names) - at)
 
 
 def farthest_apart(scores: Float[np.ndarray, "n S"], least: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
-    """How far the means before and after lie apart, at most over all places, of each column [standard errors].
+    """Largest difference of the means before and after any trajectory, in each column [standard errors].
 
-    NaN are no values; with k of m values after a place and a deviation σ of all, taken to be `least` at least, a
-    standard error is σ √(m / k(m − k)).
+    NaN is ignored. With k of m values after a trajectory and their deviation σ, at least `least`, a standard error is
+    σ √(m / k(m − k)).
     """
     there = ~np.isnan(scores)
     num = there.sum(axis=0)
@@ -121,7 +121,7 @@ def farthest_apart(scores: Float[np.ndarray, "n S"], least: Float[np.ndarray, " 
 
 
 def _first_states(logs: Logs, looks_at: Covariates) -> Iterator[Watched]:
-    """Covariates of the first stage, by their ranks, so that few large ones do not decide."""
+    """Ranks of the covariates of the first stage; ranks limit the influence of outliers."""
     first: Any = logs.stages[logs.stages["stage"] == 1]
     states = pd.DataFrame(looks_at.encode(first)).rank().to_numpy()
     for name, ranks in zip(looks_at.names, states.T, strict=True):
@@ -129,7 +129,7 @@ def _first_states(logs: Logs, looks_at: Covariates) -> Iterator[Watched]:
 
 
 def _parts(logs: Logs, looks_at: Covariates) -> Iterator[Watched]:
-    """What each action brings, takes and leads to, less a regression on the state; of a trajectory their sum."""
+    """Residuals of each action's reward, duration and next state, given the state, summed by trajectory."""
     states, actions, place = looks_at.encode(logs.stages), logs.stages["action"], stage_places(logs)[0]
     for action in sorted(actions.dropna().unique().tolist()):
         is_taken = (actions == action).to_numpy(dtype=bool, na_value=False)
@@ -145,7 +145,7 @@ def _parts(logs: Logs, looks_at: Covariates) -> Iterator[Watched]:
 def _outcomes(
     logs: Logs, looks_at: Covariates, states: Float[np.ndarray, "m F"], place: Int[np.ndarray, " m"]
 ) -> dict[str, Float[np.ndarray, " m"]]:
-    """Reward, log duration and next state of every stage, NaN where it has none."""
+    """Reward, log duration and next state of every stage; NaN if missing."""
     goes_on = np.append(place[1:] == place[:-1], False)
     after = np.where(goes_on[:, None], np.roll(states, -1, axis=0), np.nan)
     reward = logs.stages["reward"].to_numpy(dtype=np.float64, na_value=np.nan)
@@ -158,7 +158,7 @@ def _summed(left: Float[np.ndarray, " m"], place: Int[np.ndarray, " m"], num: in
 
 
 def _cuts(logs: Logs) -> Watched:
-    """Whether each was cut, less the cumulative hazard of cuts until its end: of mean 0, however long it lasted."""
+    """Whether each was cut, minus the cumulative hazard of cuts until its end; the mean is 0 for any duration."""
     curve = KaplanMeier().fit(logs.end_s, logs.is_finished)
     before, left = (curve.survival(ends) for ends in (logs.end_s, np.nextafter(logs.end_s, np.inf)))
     scores = ~logs.is_finished + np.log(np.where(left > 0, left, before))
@@ -179,5 +179,5 @@ def _says_otherwise(
 
 
 def _more(values: Float[np.ndarray, " m"], place: Int[np.ndarray, " m"], at: int) -> float:
-    """By how much the mean from a trajectory on is larger than before."""
+    """Mean from a trajectory on, minus the mean before it."""
     return float(values[place >= at].mean() - values[place < at].mean())

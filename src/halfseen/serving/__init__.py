@@ -1,10 +1,10 @@
-"""A policy that answers over HTTP or OPC UA: what `halfseen act` says, to a controller without a Python of its own.
+"""A policy that answers over HTTP or OPC UA: the decisions of `halfseen act`, for a controller without Python.
 
-Read down: `models` (what is asked and answered) → `limits` (who may ask, how much and how slowly; the server) →
-`recording` (what was decided becomes the next log, and now and then it is another action, with its probability) →
-`in_service` (a policy that was read, checked and warmed, and the rule in its place) → `comparing` (which trajectories
-are the policy's) → `questions` (what is asked about) → `watching` (the log, held against the promise) → `served` (one
-answer at a time, whatever the door) → `pages` → `app` (the door of HTTP) and `opcua` (that of OPC UA).
+Reading order: `models` (requests and answers) → `limits` (access, size and time limits; the server) → `recording`
+(decisions become the next log, with exploration and its probabilities) → `in_service` (a policy that was read, checked
+and warmed up, and its fallback rule) → `comparing` (which trajectories are the policy's) → `questions` (the states to
+decide on) → `watching` (the log against the promise) → `served` (one answer at a time, over either protocol) → `pages`
+→ `app` (HTTP) and `opcua` (OPC UA).
 """
 
 from typing import TYPE_CHECKING

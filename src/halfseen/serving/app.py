@@ -1,4 +1,4 @@
-"""The app: what is asked by which address, and in which form it is answered."""
+"""The HTTP app: its addresses, and the form of its answers."""
 
 import asyncio
 import json
@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 
 @asynccontextmanager
 async def reloading_at_hang_up(reload: Callable[[], Awaitable[Any]]) -> AsyncIterator[None]:
-    """Reload at SIGHUP for a while, where there is such a signal; what cannot be read is told on stderr.
+    """Reload on SIGHUP within this context, if the system has that signal; report read errors on stderr.
 
     Parameters
     ----------
     reload
-        Reads the files again, or raises `HalfseenError` and leaves all as it was.
+        Reads the files again, or raises `HalfseenError` and changes nothing.
     """
     hang_up: Any = getattr(signal, "SIGHUP", None)
     if hang_up is None or threading.current_thread() is not threading.main_thread():
@@ -74,18 +74,18 @@ async def _check_is_there(request: Request) -> None:
 def app_of(
     served: Served, token: str | None = None, *, largest_bytes: int | None = None, wire: "Wire | None" = None
 ) -> App:
-    """Make an ASGI app of a policy that is served.
+    """Create the ASGI app of a served policy.
 
     Parameters
     ----------
     served
         The policy.
     token
-        That each request must bring; None where none is asked for.
+        Token required in each request; None for no token.
     largest_bytes
-        Of a request; None for 1 MiB, and 64 MiB where clouds may come.
+        Largest size of a request; None for 1 MiB, or 64 MiB if clouds are allowed.
     wire
-        By which a controller asks instead, as long as the app runs; then nobody else does.
+        Connection by which a controller asks instead while the app runs; then HTTP takes no decisions.
     """
     asked = {
         "/decide": ("POST", _decide),
@@ -119,7 +119,7 @@ async def _asked_elsewhere(wire: "Wire", served: Served, request: Request) -> No
 
 
 def _answering(answer: Callable[[Request], Awaitable[Any]]) -> Callable[[Request], Awaitable[Response]]:
-    """Answer in JSON; what is refused in one line."""
+    """Wrap an endpoint: answer in JSON, and refuse in one line."""
 
     async def respond(request: Request) -> Response:
         try:
@@ -130,7 +130,7 @@ def _answering(answer: Callable[[Request], Awaitable[Any]]) -> Callable[[Request
         except HalfseenError as error:
             return _error(Refusal(422, str(error)))
         except Exception as error:
-            # The next request is answered all the same.
+            # The server still answers the next request.
             traceback.print_exc(file=sys.stderr)
             return _error(Refusal(500, f"this went wrong in halfseen itself ({type(error).__name__}); see its log"))
 
@@ -225,7 +225,7 @@ def _error(refusal: Refusal) -> Response:
 
 async def _refused(refusal: Refusal, scope: Any, receive: Any, send: Any) -> None:
     response = _error(refusal)
-    # What is left of the request is not read.
+    # The rest of the request is not read.
     response.headers["connection"] = "close"
     if refusal.status == 401:
         response.headers["www-authenticate"] = 'Basic realm="halfseen"' if scope["method"] == "GET" else "Bearer"

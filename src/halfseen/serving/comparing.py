@@ -1,9 +1,9 @@
-"""A comparison in the cell: each trajectory is dealt to the policy or to the rule of today, and the log says which.
+"""A comparison in the cell: each trajectory is dealt to the policy or the rule of today, and the log records the arm.
 
-The columns `ARM`, `CHANCE` and `COMPARISON` of a trajectory are the whole state: a server that begins again reads the
-log, and deals on as the one before would have. The probability of an action is that of the whole, whichever arm it is
-of: P(a | so far) = π P₁(a) + (1 − π) P₀(a), π the chance of the policy given the actions so far. So the product over
-stages is that of a log of both arms, and learning and evaluation by it stay right.
+The columns `ARM`, `CHANCE` and `COMPARISON` of a trajectory hold the whole state: a restarted server reads the log and
+continues to deal as before. The logged probability of an action is that of the mixture of both arms:
+P(a | so far) = π P₁(a) + (1 − π) P₀(a), with π the probability of the policy's arm given the actions so far. So the
+propensities of the log describe one behaviour policy, and learning and evaluation from it stay valid.
 """
 
 import hashlib
@@ -41,11 +41,11 @@ class Deal:
     Parameters
     ----------
     is_policys
-        Its arm.
+        Whether it was dealt to the policy.
     chance
-        With which it was dealt to the policy.
+        Probability with which it was dealt to the policy.
     belief
-        Chance of the policy given the actions so far.
+        Probability of the policy's arm given the actions so far.
     """
 
     is_policys: bool
@@ -53,22 +53,22 @@ class Deal:
     belief: float
 
     after: float = 1.0
-    """The belief once the next action is taken."""
+    """The belief after the next action."""
 
     def probability(self, by_policy: float, by_rule: float) -> float:
-        """Of the next action, which each arm takes with these, given those before it."""
+        """Probability of the next action given earlier ones, from its probabilities under the two arms."""
         likely = self.belief * by_policy + (1.0 - self.belief) * by_rule
         self.after = self.belief * by_policy / likely
         return likely
 
     def took(self) -> None:
-        """Take that action into account, now that it is recorded."""
+        """Update the belief after the action was recorded."""
         self.belief = self.after
 
 
 @dataclass(eq=False)
 class Comparison:
-    """Deals the trajectories of a cell, and says how the comparison stands.
+    """Deals the trajectories of a cell, and tracks the state of the comparison.
 
     Parameters
     ----------
@@ -77,13 +77,13 @@ class Comparison:
     file
         The rule of today, as .csv or .toml.
     folder
-        Where trajectories are recorded.
+        Folder of the recorded trajectories.
     terms
-        How it is held.
+        Settings of the comparison.
     seed
-        Of the deals.
+        Seed of the deals.
     say
-        Is given a sentence where the verdict changes.
+        Receives a sentence when the verdict changes.
     """
 
     service: "InService"
@@ -102,14 +102,14 @@ class Comparison:
 
     @cached_property
     def rule(self) -> FallBack:
-        """What decides in the rule's trajectories."""
+        """The rule that decides in its own trajectories."""
         found = fall_back_of(self.service.stored, self.file)
         assert found is not None, "a rule file says what decides"
         return found
 
     @cached_property
     def name(self) -> str:
-        """Tells it from comparisons of other policies or rules in the same log."""
+        """Identifier that distinguishes comparisons of other policies or rules in the same log."""
         return f"{self.service.digest}:{hashlib.sha256(read_bytes(self.file)).hexdigest()[:12]}"
 
     @property
@@ -118,19 +118,19 @@ class Comparison:
         return self.service.stored.policy
 
     def dealt(self) -> Deal:
-        """Deal the next trajectory, unless it is; the same seed and log give the same deal."""
+        """Deal the next trajectory unless it is already dealt; the same seed and log give the same deal."""
         if self.deal is None:
             share, luck = self.standing.share, np.random.default_rng([self.seed, self.courses.num]).random()
             self.deal = Deal(bool(luck < share), share, share)
         return self.deal
 
     def columns(self) -> dict[str, Any]:
-        """What is recorded of the trajectory."""
+        """Columns to record for the trajectory."""
         deal = self.dealt()
         return {ARM: POLICY if deal.is_policys else RULE, CHANCE: deal.chance, COMPARISON: self.name}
 
     def resumed(self, events: Sequence[dict[str, Any]]) -> bool:
-        """Go on with a trajectory in progress, as the log has it; False where it was not dealt by this comparison."""
+        """Resume the logged trajectory in progress; False if this comparison did not deal it."""
         columns = events[0]["columns"]
         if columns.get(COMPARISON) != self.name:
             return False
@@ -142,7 +142,7 @@ class Comparison:
         return True
 
     def ended(self, events: Sequence[dict[str, Any]]) -> None:
-        """Count a trajectory that is over, as the log has it."""
+        """Count a logged trajectory that has ended."""
         self.deal = None
         rows = followed(events).rows
         if rows["trajectories"][0].get(COMPARISON) != self.name or num_until_decided(self.courses) < self.courses.num:
@@ -154,7 +154,7 @@ class Comparison:
             self.say(f"the policy is {self.standing}")
 
     def of(self, service: "InService", *, is_in_progress: bool) -> "Comparison":
-        """That of another policy, in the same log; a trajectory in progress goes on, and counts for neither."""
+        """Comparison of another policy, in the same log; a trajectory in progress continues, and counts for neither."""
         if service.digest == self.service.digest:
             return self
         other = replace(self, service=service)
@@ -163,7 +163,7 @@ class Comparison:
 
     @property
     def facts(self) -> Compared:
-        """What `/comparison` says."""
+        """Answer of `/comparison`."""
         return Compared(sentence=str(self.standing), **vars(self.standing))
 
     def _recorded(self) -> Courses:
@@ -177,16 +177,16 @@ class Comparison:
 
 
 def courses_of(logs: Logs | None, policy: DiscretePolicy, name: str) -> Courses:
-    """Take the trajectories of a comparison from a log; none from None.
+    """Extract the trajectories of a comparison from a log; none if the log is None.
 
     Parameters
     ----------
     logs
         The log.
     policy
-        Whose covariates count.
+        Policy whose covariates are used.
     name
-        What `COMPARISON` holds for them.
+        Value of `COMPARISON` for these trajectories.
     """
     num_features = policy.looks_at.num_features
     if logs is None or COMPARISON not in logs.trajectories.columns:
@@ -196,7 +196,7 @@ def courses_of(logs: Logs | None, policy: DiscretePolicy, name: str) -> Courses:
     is_its = logs.trajectories[COMPARISON].eq(name).fillna(False) & logs.trajectories["cause"].ne(STILL_RUNNING)
     trajectories: Any = logs.trajectories[is_its]
     stages: Any = logs.stages[logs.stages["trajectory"].isin(trajectories["trajectory"])]
-    # In the order in which they were recorded, also where names are text.
+    # In the order of recording, even if names are text.
     names = sorted(trajectories["trajectory"], key=lambda each: (len(str(each)), str(each)))
     trajectories, number = trajectories.set_index("trajectory").loc[names], dict(zip(names, count(), strict=False))
     stages = stages.iloc[np.argsort(stages["trajectory"].map(number).to_numpy(), kind="stable")]
@@ -212,25 +212,25 @@ def courses_of(logs: Logs | None, policy: DiscretePolicy, name: str) -> Courses:
         reward=stages["reward"].to_numpy(dtype=np.float64),
         clock_s=stages["elapsed_s"].to_numpy(dtype=np.float64),
     )
-    # Laid out as they are where trajectories come one by one: else products of matrices differ in the last bit.
+    # Same memory layout as for trajectories one by one; otherwise matrix products differ in the last bit.
     return Courses(*map(np.ascontiguousarray, courses))
 
 
 def num_until_decided(courses: Courses) -> int:
-    """Trajectories before the first that was not dealt by chance. It says what was decided; later ones add nothing."""
+    """Number of trajectories before the first that was not randomised. It shows the verdict; later ones add nothing."""
     is_decided = (courses.chance == 0.0) | (courses.chance == 1.0)
     return int(np.argmax(is_decided)) if is_decided.any() else courses.num
 
 
 def course_of(rows: Mapping[str, Sequence[Mapping[str, Any]]], policy: DiscretePolicy) -> Courses:
-    """Take one trajectory from its rows, as `courses_of` does from the log.
+    """Convert the rows of one trajectory, as `courses_of` does for a log.
 
     Parameters
     ----------
     rows
-        As `halfseen.logs.recorded.RecordedTrajectory` has them.
+        As in `halfseen.logs.recorded.RecordedTrajectory`.
     policy
-        Whose covariates count.
+        Policy whose covariates are used.
     """
     (trajectory,), stages = rows["trajectories"], rows["stages"]
     first = {text: known[0] for text, known in policy.categories.items()}
@@ -255,6 +255,6 @@ def course_of(rows: Mapping[str, Sequence[Mapping[str, Any]]], policy: DiscreteP
 
 
 def joined(one: Courses, other: Courses) -> Courses:
-    """Put trajectories after others."""
+    """Append trajectories to others."""
     later = other._replace(trajectory=other.trajectory + one.num)
     return Courses(*(np.concatenate(each) for each in zip(one, later, strict=True)))

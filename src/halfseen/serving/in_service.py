@@ -1,7 +1,7 @@
-"""A policy that was taken into service: read, checked, warm, and with a rule that decides where it does not.
+"""A policy in service: read, checked, warmed up, and with a fallback rule.
 
-That is out of its logs' range, beyond its horizon, where it fails, or too late. Then the rule decides, with probability
-1: which of them decides depends on the state alone, so that the log stays one that can be learned from.
+The rule decides outside the range of the training log, beyond the horizon, when the policy fails, or when it is too
+late. It decides with probability 1: which of the two decides depends on the state only, so the log can be learned from.
 """
 
 import hashlib
@@ -25,23 +25,23 @@ from halfseen.policies.rule_files import FallBack, fall_back_of
 from halfseen.serving.models import StepBacks, Why
 
 MOST_WARMED = 12
-"""Objects of the largest table that is decided on before the first request."""
+"""Number of objects of the largest table that is decided during warm-up."""
 
 
 @dataclass(frozen=True, eq=False)
 class InService:
-    """A policy that answers; it never changes.
+    """A policy that answers; immutable.
 
     Parameters
     ----------
     stored
         The policy.
     decider
-        The same behind the port.
+        The same policy behind the decision interface.
     digest
-        What tells it from others: the first 12 digits of the SHA-256 of its record and its numbers.
+        Its identifier: the first 12 digits of the SHA-256 of its record and its numbers.
     fall_back
-        What decides where the policy does not; None if nobody knows.
+        Rule that decides where the policy does not; None if unknown.
     """
 
     stored: StoredPolicy
@@ -53,23 +53,23 @@ class InService:
 def taken_into_service(
     folder: Path, *, extrapolates: bool = False, stays_within: bool = False, rule: Path | None = None
 ) -> InService:
-    """Read a policy, check all of it, and let it decide once, so that no request waits for what loads late.
+    """Read a policy, check it, and warm it up, so that no request waits for lazy loading.
 
     Parameters
     ----------
     folder
-        As `read_policy` takes it.
+        As in `read_policy`.
     extrapolates, stays_within
-        As `decider_of` takes them.
+        As in `decider_of`.
     rule
-        A file that `fall_back_of` takes; None for what the log did most.
+        A file for `fall_back_of`; None for the most frequent actions of the log.
 
     Raises
     ------
     ArgumentError
-        The rule is none for this policy.
+        The rule does not fit this policy.
     PolicyError
-        It cannot be read, or decides for a team.
+        The policy cannot be read, or decides for a team.
     """
     stored = read_policy(folder)
     refuse_team(stored, UNDECIDED, folder)
@@ -80,7 +80,7 @@ def taken_into_service(
 
 
 def _warm(stored: StoredPolicy, decider: Decider) -> None:
-    """Decide once at each stage, or, of tables, for each number of objects in the logs."""
+    """Decide once at each stage, or, for tables, for each number of objects in the log."""
     if isinstance(decider, NamedDecider):
         for stage in range(1, stored.horizon + 1):
             ranges = stored.ranges(stage)
@@ -105,14 +105,14 @@ def _digest(stored: StoredPolicy) -> str:
 
 @dataclass(frozen=True)
 class SteppedBack:
-    """Why the rule decides.
+    """Reason for which the rule decides.
 
     Parameters
     ----------
     why
-        In a word, as the log has it.
+        One word, as in the log.
     detail
-        In one line.
+        One line.
     """
 
     why: Why
@@ -121,7 +121,7 @@ class SteppedBack:
 
 @dataclass
 class Tally:
-    """Counts since a server began."""
+    """Counts since the server started."""
 
     decisions: int = 0
     by: Counter[str] = field(default_factory=Counter)
@@ -136,19 +136,19 @@ class Tally:
 
     @property
     def facts(self) -> StepBacks:
-        """What `/health` says of it."""
+        """The counts in the answer of `/health`."""
         return StepBacks(self.decisions, self.by.total(), dict(self.by), self.last)
 
 
 def asked(decide: Callable[[], Decision], stage: int, horizon: int) -> Decision | SteppedBack:
-    """Ask a policy; whatever it lets fall is taken up.
+    """Ask a policy; any failure becomes a step back.
 
     Parameters
     ----------
     decide
-        Asks it.
+        Asks the policy.
     stage, horizon
-        The stage to decide, from 1, and how many the policy decides.
+        The stage to decide, from 1, and the number of stages that the policy decides.
     """
     if stage > horizon:
         return SteppedBack("beyond-horizon", f"stage {stage} is beyond the policy's horizon, {horizon}")

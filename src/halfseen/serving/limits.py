@@ -1,6 +1,6 @@
-"""Who may ask, how much, and how slowly: whatever comes in is bounded before anybody looks at it.
+"""Limits on requests: access, size and time are checked before a request is read. Also the server itself.
 
-The server is on one port, until somebody interrupts.
+The server listens on one port until it is interrupted.
 """
 
 import asyncio
@@ -36,12 +36,12 @@ LARGEST_STATE_BYTES = 1 << 20
 LARGEST_CLOUD_BYTES = 64 << 20
 SLOWEST_BODY_S = 10.0
 OF_THIS_MACHINE = ("127.0.0.1", "localhost", "[::1]")
-"""Names by which a server of this machine is asked; a page of another site that finds it has another."""
+"""Host names of a local server; a request from a page of another site has a different one."""
 
 
 @dataclass(eq=False)
 class Bounded:
-    """Asks an ASGI app what is bounded: its body is whole before the app sees it.
+    """Applies the limits in front of an ASGI app; the body is complete before the app sees it.
 
     Parameters
     ----------
@@ -50,11 +50,11 @@ class Bounded:
     refuse
         Answers a refusal.
     token
-        That a request must bring; None where none is asked for, and then only by a name of this machine.
+        Token required in a request; None for no token, which restricts requests to local host names.
     largest_bytes
-        Of a body.
+        Largest size of a body.
     slowest_s
-        Until a body is whole [s].
+        Time limit for a complete body [s].
     """
 
     app: App
@@ -64,7 +64,7 @@ class Bounded:
     slowest_s: float = SLOWEST_BODY_S
 
     async def __call__(self, scope: MutableMapping[str, Any], receive: Receive, send: Send) -> None:
-        """Answer one request, or run the app's own beginning and end."""
+        """Answer one request, or run the app's startup and shutdown."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
@@ -98,7 +98,7 @@ class Bounded:
             raise self._too_large()
 
     async def _whole(self, receive: Receive) -> bytes | None:
-        """Read the body; None where the client has gone."""
+        """Read the body; None if the client has disconnected."""
         parts, num_bytes = [], 0
         while True:
             message = await receive()
@@ -116,7 +116,7 @@ class Bounded:
 
 
 def _token_in(method: str, given: bytes) -> bytes:
-    """The token of a header; of a page a browser brings it as a password, and never where it would decide."""
+    """The token of a header. For pages, a browser may send it as a password; never for decisions."""
     scheme, _, token = given.partition(b" ")
     if scheme == b"Basic" and method == "GET":
         with contextlib.suppress(binascii.Error):
@@ -125,7 +125,7 @@ def _token_in(method: str, given: bytes) -> bytes:
 
 
 def _given_once(body: bytes, receive: Receive) -> Receive:
-    """Give a body that was read, and after it what comes."""
+    """Replay a body that was read, then pass on later messages."""
     is_given = False
 
     async def again() -> Message:
@@ -140,12 +140,12 @@ def _given_once(body: bytes, receive: Receive) -> Receive:
 
 @asynccontextmanager
 async def cloud_in(request: Request) -> AsyncIterator[Cloud]:
-    """Keep the files of a form for a while.
+    """Store the files of a form temporarily.
 
     Raises
     ------
     Refusal
-        It is no form, or none that `Cloud` takes.
+        The request is not a form, or does not fit `Cloud`.
     """
     names = Cloud.__struct_fields__
     async with contextlib.AsyncExitStack() as kept:
@@ -160,7 +160,7 @@ async def cloud_in(request: Request) -> AsyncIterator[Cloud]:
 
 
 async def _kept(name: str, given: UploadFile | str, folder: Path) -> Path | str:
-    """Write a file of a form where what reads files finds it; text stays."""
+    """Write a file of a form to a folder; text is returned unchanged."""
     if isinstance(given, str):
         return given
     ending = PurePosixPath(given.filename or "").suffix
@@ -175,28 +175,28 @@ LARGEST_HEAD_BYTES = 1 << 14
 
 
 class BoundedProtocol(H11Protocol):
-    """HTTP/1.1 in which a connection that is silent, or sends the head of a request drop by drop, is closed."""
+    """HTTP/1.1 that closes idle connections, and those that send the head of a request too slowly."""
 
     _overdue: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Begin to wait for a request."""
+        """Start the timer for a request."""
         super().connection_made(transport)
         self._await_head()
 
     def data_received(self, data: bytes) -> None:
-        """Take what came; with the whole head of a request, the waiting is over."""
+        """Process data; stop the timer once the head of a request is complete."""
         super().data_received(data)
         if self.cycle is not None and not self.cycle.response_complete:
             self._stop_waiting()
 
     def on_response_complete(self) -> None:
-        """Wait for the next request."""
+        """Start the timer for the next request."""
         self._await_head()
         super().on_response_complete()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Wait no longer."""
+        """Stop the timer."""
         self._stop_waiting()
         super().connection_lost(exc)
 
@@ -210,19 +210,19 @@ class BoundedProtocol(H11Protocol):
 
 
 def bound_socket(host: str, port: int) -> socket.socket:
-    """Take a port before anything else is done.
+    """Bind a port before anything else is done.
 
     Parameters
     ----------
     host
         Address or name of this machine.
     port
-        0 for any that is free.
+        Port number; 0 for any free port.
 
     Raises
     ------
     ArgumentError
-        The address is none of this machine's, or the port is taken.
+        The address does not belong to this machine, or the port is taken.
     """
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
@@ -242,16 +242,16 @@ def bound_socket(host: str, port: int) -> socket.socket:
 
 
 def serve(app: App, at: socket.socket, on_start: Callable[[], Any] | None = None) -> None:
-    """Answer until somebody interrupts; requests that have come are answered first.
+    """Serve an app until it is interrupted; pending requests are answered first.
 
     Parameters
     ----------
     app
-        What answers.
+        The app.
     at
-        As `bound_socket` gives it.
+        Result of `bound_socket`.
     on_start
-        Called once, when requests are answered.
+        Called once, before requests are answered.
     """
     config = uvicorn.Config(
         app,  # type: ignore[arg-type]
@@ -268,7 +268,7 @@ def serve(app: App, at: socket.socket, on_start: Callable[[], Any] | None = None
     )
     if on_start is not None:
         on_start()
-    # A request to end, which uvicorn raises again once all is answered, ends no more than this.
+    # uvicorn raises SIGTERM again once all requests are answered; it must end the server only.
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with contextlib.suppress(KeyboardInterrupt):

@@ -1,4 +1,4 @@
-"""What is asked and answered: a class for each JSON object. Requests are checked by them; OpenAPI is made of them."""
+"""Requests and answers: a class for each JSON object. They validate requests, and define the OpenAPI schema."""
 
 import re
 from collections.abc import Mapping
@@ -201,7 +201,7 @@ class Wired(Struct, frozen=True):
 
     @property
     def is_deciding(self) -> bool:
-        """Whether a controller is there, and nothing is wrong."""
+        """Whether a controller is connected, and nothing is wrong."""
         return self.error is None and self.state != "Preoperational"
 
 
@@ -224,7 +224,7 @@ class Refused(Struct, frozen=True):
 
 
 class Refusal(Exception):
-    """A status of HTTP, and the line of `Refused`."""
+    """An HTTP status, and the line of `Refused`."""
 
     def __init__(self, status: int, message: str) -> None:
         super().__init__(message)
@@ -232,12 +232,12 @@ class Refusal(Exception):
 
 
 def model_of(given: Mapping[str, Any], kind: type[Of], *, is_text: bool = False) -> Of:
-    """Check what a request holds, by name; `is_text` where its numbers are text.
+    """Validate the fields of a request; `is_text` if its numbers are text.
 
     Raises
     ------
     Refusal
-        A field is missing, unknown, or none that the model takes.
+        A field is missing, unknown or invalid.
     """
     try:
         return msgspec.convert(given, kind, strict=not is_text)
@@ -248,7 +248,7 @@ def model_of(given: Mapping[str, Any], kind: type[Of], *, is_text: bool = False)
 
 
 def _trouble(given: Mapping[str, Any], kind: type[Struct], error: str) -> str:
-    """The value and the remedy, too, in place of what msgspec says."""
+    """Error message with the value and the remedy, instead of the message of msgspec."""
     fields = msgspec.json.schema_components([kind])[1][kind.__name__]["properties"]
     if at := re.match("Object contains unknown field `(.*)`$", error, re.DOTALL):
         return f"nothing is known of {at[1][:40]!r}; give {', '.join(fields)}"

@@ -1,6 +1,6 @@
-"""What is shown: OpenAPI 3.1 and a page of what can be asked, the running cell for programs and as a page.
+"""Descriptions and pages: OpenAPI 3.1 and a page of the addresses, and the running cell as JSON and as a page.
 
-What is slow of the cell was worked out before.
+Slow results about the cell are computed beforehand.
 """
 
 import base64
@@ -30,14 +30,14 @@ _REFERENCE = "#/components/schemas/"
 
 
 def described(service: InService, *, is_recording: bool, is_comparing: bool = False) -> Schema:
-    """Describe what a server answers.
+    """Describe a server in OpenAPI.
 
     Parameters
     ----------
     service
         The policy that answers.
     is_recording
-        Whether what is decided is recorded.
+        Whether decisions are recorded.
     is_comparing
         Whether trajectories are dealt to the policy or to a rule.
     """
@@ -85,7 +85,7 @@ def _referred(model: type[Struct]) -> Schema:
 
 
 def _covariates(service: InService, state: Schema) -> Schema:
-    """What the policy looks at before what any state has, and the middle of what the logs showed as an example."""
+    """Fields of a state: policy covariates, common fields, and the middle of the log's range as an example."""
     policy, seen = service.stored.policy, service.stored.ranges(1) or {}
     filling = policy.filling or Filling({}, 1)
     may_lack = {name for name, fill in filling.fills.items() if fill.value is not None} | {*filling.flags}
@@ -107,7 +107,7 @@ def _covariate(categories: Any, seen: Any, may_lack: bool) -> Schema:
 
 
 def description_of(api: Schema) -> str:
-    """Write the page of what `halfseen.serving.pages.described` describes."""
+    """Render a description from `halfseen.serving.pages.described` as a page."""
     css = files("halfseen.view").joinpath("page.css").read_text(encoding="utf-8")
     title, schemas = escape(api["info"]["title"]), api["components"]["schemas"]
     parts = [_address(path, how, each, schemas) for path, hows in api["paths"].items() for how, each in hows.items()]
@@ -136,18 +136,18 @@ def _takes(kind: str, schema: Schema) -> str:
 
 
 TEMPLATE = "halfseen.view", "cell.html.j2"
-template(*TEMPLATE)  # no request waits for it
+template(*TEMPLATE)  # load it before the first request
 SCRIPT = text_of("halfseen.view", "cell.js")
 _DIGEST = base64.b64encode(hashlib.sha256(SCRIPT.encode()).digest()).decode()
 SECURITY = (
     f"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-{_DIGEST}'; connect-src 'self'; "
     "img-src data:; base-uri 'none'; form-action 'none'"
 )
-"""The page runs its own script, which asks nobody but its server."""
+"""Content security policy: the page runs only its own script, which connects only to its server."""
 
 
 def cell_of(service: InService, answering: Answering) -> Cell:
-    """Say how the cell stands; the log is looked at again where it is time."""
+    """State of the cell; starts a new look at the log if one is due."""
     recent, trajectories, comparison = answering.recent, answering.trajectories, answering.comparison
     recording = UNSET if trajectories is None else trajectories.facts
     monitor, age_s = None, None
@@ -188,7 +188,7 @@ def _sentence(decision: Decided | None, recording: Progress | Any, monitor: dict
 
 
 def _who(decision: Decided) -> str:
-    """By whom."""
+    """Who decided."""
     if decision.arm == "rule":
         return "by the rule of today, to which this trajectory was dealt"
     if decision.stepped_back is not UNSET:

@@ -1,4 +1,4 @@
-"""What a policy in service is asked about: covariates, objects of a table as a log has them, or a cloud in a form."""
+"""States to decide on: covariates, objects of a table as in a log, or a cloud in a form."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -35,26 +35,26 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 
 LATEST_STAGE = 10_000
-"""What is later is no stage."""
+"""Largest number that is accepted as a stage."""
 _NOTHING_DONE = {"robot": None, "action": None, "object": None, "probability": None}
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What a policy is asked about.
+    """A state to decide on.
 
     Parameters
     ----------
     decide
-        Asks it.
+        Asks the policy.
     stage
         The stage to decide, from 1.
     begun
-        To be recorded.
+        The stage to record.
     names
-        Of the objects, in the order of the numbers that actions have; none where nothing is acted on.
+        Names of the objects, indexed by the numbers in actions; empty if actions have no object.
     said
-        What labels told, in one sentence.
+        Summary of the labels, in one sentence.
     """
 
     decide: Callable[[], Decision]
@@ -70,25 +70,25 @@ def seen_in_state(
     next_stage: int | None = None,
     last: Mapping[str, Any] | None = None,
 ) -> Seen:
-    """Take a state as JSON has it.
+    """Interpret a state from JSON.
 
     Parameters
     ----------
     service
-        What decides.
+        The policy.
     state
-        Covariates by name, or what `Table` holds; and the stage, if it is not the first.
+        Covariates by name, or the fields of `Table`; and the stage, if it is not the first.
     next_stage
-        The stage that is recorded next; None if nothing is recorded.
+        Next stage to record; None if nothing is recorded.
     last
-        Covariates of the stage before, as they are recorded; None where none is.
+        Recorded covariates of the previous stage; None if there is none.
 
     Raises
     ------
     HalfseenError
-        It is not what the policy looks at.
+        The state does not fit the policy.
     Refusal
-        It says another stage than the one that is recorded next.
+        Its stage differs from the next stage to record.
     """
     stage = checked_stage(state.get("stage", next_stage or 1), LATEST_STAGE, BODY)
     _check_next(stage, next_stage)
@@ -125,25 +125,25 @@ def _check_next(stage: int | None, next_stage: int | None) -> None:
 def seen_in_cloud(
     service: InService, given: Cloud, law: "SeenLaw | None", trajectories: RecordedTrajectories | None = None
 ) -> Seen:
-    """Take a cloud of a table that nothing is known of but this look, and what is recorded of its trajectory.
+    """Interpret a cloud of a table, given only this view and the recorded trajectory.
 
     Parameters
     ----------
     service
-        What decides.
+        The policy.
     given
-        What is seen of it.
+        The view.
     law
-        As `halfseen.policies.table_observation.see_table` takes it.
+        As in `halfseen.policies.table_observation.see_table`.
     trajectories
-        What records; None if nothing is recorded, and then the cloud begins a trajectory.
+        The recorder; None if nothing is recorded, so that the cloud begins a trajectory.
 
     Raises
     ------
     HalfseenError
-        The files cannot be read, or are not what the policy looks at; the folder of the cloud is left out of the line.
+        The files cannot be read, or do not fit the policy; the message omits the folder of the cloud.
     Refusal
-        The policy is not of tables, the stage is another than the one that is recorded next, or that cannot begin.
+        The policy is not of tables, the stage differs from the next stage to record, or that stage cannot begin.
     """
     if not service.stored.is_table:
         looks_at = covariates_in_words(service.stored.policy)
@@ -170,28 +170,28 @@ def seen_in_cloud(
 
 
 def present_of(stored: StoredPolicy, objects: Sequence[dict[str, Any]], stage: int) -> tuple[Present, list[Any]]:
-    """Put a table together from its objects.
+    """Build the state of a table from its objects.
 
     Parameters
     ----------
     stored
         A policy of tables.
     objects
-        A dict for each, with the columns that `halfseen.world.logs` writes.
+        A dict per object, with the columns of `halfseen.world.logs`.
     stage
         The stage to decide, from 1.
 
     Returns
     -------
     present : Present
-        Where its trajectory stands.
+        Current state of its trajectory.
     names : list
-        Of the objects, by the numbers that actions have.
+        Names of the objects, indexed by the numbers in actions.
 
     Raises
     ------
     LogError
-        They break a rule of tables.
+        The objects break a rule of tables.
     """
     _, columns = Schema().with_stage({}, list(objects), _NOTHING_DONE, "the request")
     begun = {"event": "stage", "trajectory": 1, "stage": 1, "at_s": 0.0, "columns": {}, **columns}
@@ -205,28 +205,28 @@ def present_of(stored: StoredPolicy, objects: Sequence[dict[str, Any]], stage: i
 def rows_of(
     present: Present, places_m: Points, before: Sequence[Row] = (), *, counts_views: bool = False
 ) -> tuple[list[Row], list[int]]:
-    """Put down the objects of a stage: all that ever came into view on its trajectory.
+    """Rows for the objects of a stage: all that ever came into view in its trajectory.
 
-    They are named by numbers, counted in the order in which they came into view, so that a name stays with its object.
+    Objects are named by numbers in the order in which they came into view, so that each keeps its name.
 
     Parameters
     ----------
     present
-        Where the trajectory stands, its labels counted, before the action.
+        State of the trajectory before the action, including the labels.
     places_m
-        Where the objects are that are seen, the first of `present` [m].
+        Positions of the visible objects, which come first in `present` [m].
     before
-        The rows of the stage before, in the order of names; none if this is the first.
+        Rows of the previous stage, in the order of names; empty for the first stage.
     counts_views
-        Whether a law tells how much of an object was seen and how well it is gripped; else that is 0, and not written.
+        Whether a law models the share in view and the grip of an object; otherwise both are 0 and not written.
 
     Returns
     -------
     rows : list of dict
-        In the order of names, with `PLACE_COLUMNS`. What the stage before had on the table and `present` lacks was
+        Rows in the order of names, with `PLACE_COLUMNS`. An object that was on the table and is not in `present` was
         washed.
     names : list of int
-        Of the objects, by the numbers that actions have.
+        Names of the objects, indexed by the numbers in actions.
     """
     new = count(len(before))
     names = [next(new) if was < 0 else was for was in present.was or [-1] * present.state.num_objects]
@@ -245,7 +245,7 @@ def rows_of(
 
 
 def _washed(row: Row) -> Row:
-    """The row of an object that is not on the table any more."""
+    """The row of an object that is no longer on the table."""
     gone = {**row, "location": DISHWASHER, "occlusion": 0.0}
     if row["location"] != TABLE:
         return gone
@@ -257,7 +257,7 @@ def _washed(row: Row) -> Row:
 
 
 def _rows_on_table(state: TableState, counts_views: bool) -> list[Row]:
-    """Rows of the objects of one state, as `halfseen.world.logs` writes them, in every stage the same columns."""
+    """Rows of the objects of a state, as in `halfseen.world.logs`, with the same columns in every stage."""
     stage = mapped(lambda leaf: leaf[None, None], state)
     table = objects_of(stage, np.zeros((1, 2), dtype=np.int64)).drop_columns(["trajectory", "stage"])
     zeros = dict.fromkeys(OPTIONAL_COLUMNS, 0.0) if counts_views else {}

@@ -1,12 +1,12 @@
-"""What was decided becomes the next log: one trajectory at a time, a stage a decision.
+"""Recording of decisions as the next log: one trajectory at a time, one stage per decision.
 
-A decision begins a stage, and a trajectory where none is in progress; a reward completes it; then comes the next
-decision, or the end. So the client is asked for no more than what `LogRecorder` is told, and that is what keeps it.
+A decision begins a stage, and a trajectory if none is in progress. A reward completes the stage. Then comes the next
+decision, or the end. `LogRecorder` stores the log, and the client supplies only what it needs.
 
-Now and then another action than the best is drawn at random, so that the log tells what it is worth. With ε and k
-possible actions, the best is taken with probability 1 − ε + ε/k and each other with ε/k: every action that is possible
-has a probability above 0, and the log says which. A table draws the actions that it names instead, each with a
-probability of its own, where they are wanted.
+Exploration draws another action than the best, so that the log shows the value of other actions. With ε and k possible
+actions, the best is taken with probability 1 − ε + ε/k and each other one with ε/k: every possible action has a
+probability above 0, which the log records. With an exploration table, only the actions that it names are drawn, each
+with its own probability, in the states that it names.
 """
 
 from collections.abc import Mapping
@@ -25,21 +25,21 @@ from halfseen.policies.decision import Decision
 from halfseen.serving.models import Decided, Ended, Progress, Refusal
 
 STOPPED = "server stopped"
-"""Cause of the cut of a trajectory that was in progress when the server stopped."""
+"""Cause of the cut of a trajectory in progress when the server stopped."""
 
 
 @dataclass(frozen=True, eq=False)
 class Begun:
-    """What is recorded of a stage that begins, besides what is done.
+    """Recorded data of a stage that begins, except its action.
 
     Parameters
     ----------
     covariates, objects
-        As `TrajectoryRecorder.begin_stage` takes them.
+        As in `TrajectoryRecorder.begin_stage`.
     columns
-        Of its trajectory, if this is the first stage.
+        Columns of its trajectory, if this is the first stage.
     is_of_cloud
-        Whether the objects are what a cloud shows.
+        Whether the objects come from a cloud.
     """
 
     covariates: Mapping[str, Any] = field(default_factory=dict)
@@ -49,18 +49,18 @@ class Begun:
 
 
 class SoFar(NamedTuple):
-    """A trajectory in progress, to go on from."""
+    """A trajectory in progress."""
 
     logs: Logs
-    """It alone, as anyone who reads it later has it."""
+    """The trajectory alone, as it would be read from the log."""
     objects: list[dict[str, Any]]
-    """Of its last stage."""
+    """Objects of its last stage."""
     held: bool | None
-    """Whether its last action held; None if nobody said."""
+    """Whether its last attempt held; None if unknown."""
 
 
 class Waiting(NamedTuple):
-    """What was decided in the stage that waits for its reward."""
+    """Decision of the stage that waits for its reward."""
 
     action: int | str
     object: Any = UNSET
@@ -72,13 +72,13 @@ class RecordedTrajectories:
     Parameters
     ----------
     folder
-        Where to, as `LogRecorder` takes it.
+        Output folder, as in `LogRecorder`.
     is_of_tables
-        Whether stages are of tables: then what would break a rule of theirs is not recorded, and a trajectory can be
-        gone on from.
+        Whether stages are of tables: then stages that break a rule of tables are not recorded, and `so_far` gives the
+        trajectory in progress.
     resumes
-        Whether a trajectory that was in progress when the folder was left goes on, and this one is left so, too; then
-        `elapsed_s` must be given always.
+        Whether an unfinished trajectory in the folder is resumed, and one in progress is left unfinished on exit;
+        then `elapsed_s` is always required.
 
     Raises
     ------
@@ -100,7 +100,7 @@ class RecordedTrajectories:
             self._resume()
 
     def _resume(self) -> None:
-        """Take up where the events of a trajectory in progress end, if there is one."""
+        """Resume an unfinished trajectory from its events, if there is one."""
         self._trajectory = self._recorder.resume()
         if self._trajectory is None:
             return
@@ -120,12 +120,12 @@ class RecordedTrajectories:
         Parameters
         ----------
         is_of_cloud
-            As `Begun` has it.
+            As in `Begun`.
 
         Raises
         ------
         Refusal
-            The stage before has no reward yet, or the trajectory goes on in another form than it began.
+            The previous stage has no reward yet, or the form of the state differs from that of earlier stages.
         """
         self._check_rewarded()
         if is_of_cloud and not self._is_of_tables:
@@ -144,48 +144,48 @@ class RecordedTrajectories:
 
     @property
     def so_far(self) -> SoFar | None:
-        """The trajectory of tables in progress; None where none is."""
+        """The trajectory of tables in progress; None if there is none."""
         if self._trajectory is None or self._checked is None or self._begun.objects is None:
             return None
         return SoFar(self._checked, self._begun.objects, self._held)
 
     @property
     def columns(self) -> Mapping[str, Any]:
-        """Of the trajectory in progress; none where none is."""
+        """Columns of the trajectory in progress; empty if there is none."""
         return {} if self._trajectory is None or not self.events else self.events[0]["columns"]
 
     @property
     def last(self) -> Mapping[str, Any] | None:
-        """Covariates of the last stage of the trajectory in progress; None where none is."""
+        """Covariates of the last stage of the trajectory in progress; None if there is none."""
         return None if self._trajectory is None else self._begun.covariates
 
     @property
     def events(self) -> tuple[dict[str, Any], ...]:
-        """Of the trajectory that began last."""
+        """Events of the latest trajectory."""
         last = self._recorder.trajectory
         return () if last is None else last.events
 
     @property
     def facts(self) -> Progress:
-        """Where it stands, for a client that has forgotten it."""
+        """Current state, for a client that has lost track."""
         name, waits = self._trajectory and self._trajectory.name, self._unrewarded
         action = () if waits is None else waits
         return Progress(name, self._num_begun, "reward" if action else "decision", *action)
 
     def decided(self, begun: Begun, reply: Decided) -> int | str:
-        """Begin a stage with what was seen and is done, and name its trajectory.
+        """Begin a stage with a state and its decision, and return the name of the trajectory.
 
         Parameters
         ----------
         begun
-            What was seen.
+            The state.
         reply
-            What is answered.
+            The answer.
 
         Raises
         ------
         Refusal
-            The stage before has no reward yet, or a value is none that this log takes.
+            The previous stage has no reward yet, or a value does not fit this log.
         """
         self.next_stage(is_of_cloud=begun.is_of_cloud)
         verb, target = reply.verb or reply.action, None if reply.object is UNSET else reply.object
@@ -203,7 +203,7 @@ class RecordedTrajectories:
         except Exception as error:
             self._checked, begun_trajectory = before, self._recorder.trajectory
             if self._trajectory is None and begun_trajectory is not None and not begun_trajectory.is_ended:
-                begun_trajectory.cut(STOPPED)  # nothing is written of a trajectory that has no stage yet
+                begun_trajectory.cut(STOPPED)  # a trajectory without stages is not written
             if not isinstance(error, LogError):
                 raise
             raise Refusal(422, f"nothing is decided, for it could not be recorded: {error}") from error
@@ -224,14 +224,14 @@ class RecordedTrajectories:
         Parameters
         ----------
         reward, elapsed_s
-            As `TrajectoryRecorder.complete_stage` takes them.
+            As in `TrajectoryRecorder.complete_stage`.
         held
-            Of a trajectory of clouds, whether the attempt held; None if nobody knows.
+            For a trajectory of clouds, whether the attempt held; None if unknown.
 
         Raises
         ------
         LogError, Refusal
-            A value is none that a log takes; no stage is in progress.
+            A value does not fit a log; no stage is in progress.
         """
         if self._trajectory is None or self._unrewarded is None:
             raise Refusal(409, "no stage waits for a reward; POST what is seen to /decide first")
@@ -249,14 +249,14 @@ class RecordedTrajectories:
         Parameters
         ----------
         cause
-            Why it was cut; None where it came to its own end.
+            Cause of the cut; None if it finished.
         elapsed_s
-            As `TrajectoryRecorder.finish` takes it.
+            As in `TrajectoryRecorder.finish`.
 
         Raises
         ------
         LogError, Refusal
-            A value is none that a log takes; no trajectory is in progress, or its last stage has no reward.
+            A value does not fit a log; no trajectory is in progress, or its last stage has no reward.
         """
         if self._trajectory is None:
             raise Refusal(409, "no trajectory is in progress; POST what is seen to /decide, which begins one")
@@ -283,33 +283,33 @@ def chance_of(decision: Decision, shares: Mapping[str, float], action: str) -> f
 
 
 class Taken(NamedTuple):
-    """What is done, and how likely that was."""
+    """The action taken, and its probability."""
 
     decision: Decision
-    """With the action that is taken; where it was drawn, the reason says so."""
+    """Decision with the action taken; its reason says if the action was drawn."""
     probability: float
-    """With which it is taken; above 0."""
+    """Probability of the action; above 0."""
     is_explored: bool
-    """Whether another than the best was drawn."""
+    """Whether an action other than the best was drawn."""
 
 
 def uniform_shares(decision: Decision, epsilon: float) -> dict[str, float]:
-    """ε/k of each action that is possible."""
+    """ε/k for each possible action."""
     possible = [name for name, q in decision.q_values.items() if q is not None]
     return {name: epsilon / len(possible) for name in possible} if epsilon > 0.0 else {}
 
 
 def taken(decision: Decision, shares: Mapping[str, float], rng: np.random.Generator) -> Taken:
-    """Take the action of a decision, or one that is drawn.
+    """Take the action of a decision, or draw one to explore.
 
     Parameters
     ----------
     decision
-        What the policy decides, with the Q of each possible action.
+        Decision of the policy, with the Q of each possible action.
     shares
-        Probability with which each action is drawn; of impossible ones it is left to the decision.
+        Probability with which each action is drawn; the share of an impossible action goes to the decision.
     rng
-        What is drawn with; it is left alone where nothing can be drawn.
+        Random generator; not used if nothing can be drawn.
 
     Examples
     --------

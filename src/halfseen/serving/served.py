@@ -1,6 +1,6 @@
-"""A policy in service, whatever door it is asked by: it decides, steps back, compares and records.
+"""A served policy, independent of the protocol: it decides, steps back, compares and records.
 
-An answer is what `halfseen act --json` says, with the probability of what is done.
+An answer has the fields of `halfseen act --json`, and the probability of the action.
 """
 
 import asyncio
@@ -43,17 +43,17 @@ class Answering:
     epsilon
         Share of decisions that are drawn at random, in [0, 1).
     table
-        Which actions are drawn instead, and where; None where all are.
+        Actions to draw instead, and their states; None to draw all actions.
     rng
-        What they are drawn with.
+        Random generator of the draws.
     trajectories
-        Where they are recorded; None if they are not.
+        Recorder of decisions; None to record nothing.
     tally
-        How often the rule decided.
+        Counts of the rule's decisions.
     comparison
-        Deals trajectories to the policy or the rule of today; None where all are the policy's.
+        Deals trajectories to the policy or the rule of today; None if all are the policy's.
     recent
-        What happened last.
+        Latest decisions and trajectories.
     """
 
     epsilon: float = 0.0
@@ -65,12 +65,12 @@ class Answering:
     recent: Recent = field(default_factory=Recent)
 
     def answer(self, service: InService, seen: Seen, decided: Decision | SteppedBack) -> Decided:
-        """Put what the policy decides, or what the rule does in its place, into an answer.
+        """Build the answer from the decision of the policy, or of the rule in its place.
 
         Raises
         ------
         Refusal
-            The policy does not decide, and nobody knows what does in its place.
+            The policy does not decide, and there is no rule in its place.
         """
         back = decided if isinstance(decided, SteppedBack) else None
         made = self._taken(service, seen, decided)
@@ -97,7 +97,7 @@ class Answering:
     def _dealt(
         self, comparison: Comparison, seen: Seen, decided: Decision | SteppedBack, made: Taken
     ) -> tuple[Taken, str]:
-        """What the arm of the trajectory does, with the probability that either arm does it."""
+        """Action of the trajectory's arm, with its probability under the mixture of both arms."""
         deal, (action, name) = comparison.dealt(), comparison.rule.action(seen.begun.covariates, seen.stage)
         is_same = 1.0 if made.decision.action == action else 0.0
         if deal.is_policys:
@@ -123,12 +123,12 @@ class Answering:
         return Taken(Decision(action, {}, reason), 1.0, False)
 
     def recorded(self, seen: Seen, reply: Decided) -> Decided:
-        """Record what was decided, where that is wanted, and say so.
+        """Record a decision, if recording is on, and add the trajectory to the answer.
 
         Raises
         ------
         Refusal
-            It cannot be recorded; then nothing was decided.
+            It cannot be recorded; then nothing is decided.
         """
         begun, comparison = seen.begun, self.comparison
         if self.trajectories is None:
@@ -148,29 +148,29 @@ Check = Callable[[], Awaitable[None]]
 
 
 async def _anybody() -> None:
-    """Whoever asked still waits."""
+    """Assume that the client still waits."""
 
 
 @dataclass(eq=False)
 class Served:
-    """A policy that is served, and what it is served with.
+    """A served policy with its settings.
 
     Parameters
     ----------
     folder
-        Of the policy; it is read again where a reload is asked for.
+        Folder of the policy; read again on reload.
     answering
         How decisions are taken and kept.
     extrapolates
-        Whether to decide far outside what the logs showed, too.
+        Whether the policy also decides far outside the log's range.
     law
-        Of tables, what a cell's law tells of labels; None for the assumed one.
+        For tables, the law of labels in a cell; None for the assumed one.
     stays_within
-        Of named actions, whether the rule decides whatever lies farther outside the logs than chance explains.
+        For named actions, whether the rule decides farther outside the log than chance explains.
     rule
-        A file with the rule; None for what the log did most.
+        File of the rule; None for the most frequent actions of the log.
     limit_s
-        How long to wait for the policy until the rule decides [s]; None for as long as it takes.
+        Time limit for the policy, after which the rule decides [s]; None for no limit.
     """
 
     folder: Path
@@ -186,18 +186,18 @@ class Served:
         self.lock = asyncio.Lock()
 
     def read(self) -> InService:
-        """Read the policy as it is in its folder now; raises what `taken_into_service` does."""
+        """Read the policy from its folder; raises the errors of `taken_into_service`."""
         return taken_into_service(
             self.folder, extrapolates=self.extrapolates, stays_within=self.stays_within, rule=self.rule
         )
 
     async def reload(self) -> InService:
-        """Put the policy of the folder in the place of the one that answers; requests go on meanwhile.
+        """Replace the current policy by that of the folder; requests are answered meanwhile.
 
         Raises
         ------
         PolicyError
-            The folder cannot be read; what answered goes on.
+            The folder cannot be read; the current policy stays.
         """
         fresh = await to_thread.run_sync(self.read)
         async with self.lock:
@@ -209,19 +209,19 @@ class Served:
         return fresh
 
     async def decide(self, look: Callable[[InService], Seen], check: Check = _anybody) -> Decided:
-        """Look, decide and record, one at a time; what may last runs beside the loop, so that others are answered.
+        """Look, decide and record, one request at a time; slow work runs in threads, so that the loop stays free.
 
         Parameters
         ----------
         look
-            Takes what is to be decided about.
+            Reads the state to decide on.
         check
-            Of tables, raises `Refusal` where nobody waits for the decision any more.
+            For tables, raises `Refusal` if the client no longer waits.
 
         Raises
         ------
         Refusal
-            It cannot be recorded, or nobody would learn what was decided; then nothing was.
+            The decision cannot be recorded, or the client is gone; then nothing is decided.
         """
         async with self.lock:
             service, is_table = self.service, self.service.stored.is_table
@@ -236,7 +236,7 @@ class Served:
             return await to_thread.run_sync(self.answering.recorded, seen, given)
 
     async def _decided(self, service: InService, seen: Seen) -> Decision | SteppedBack:
-        """Ask the policy; what comes too late is dropped."""
+        """Ask the policy; an answer after the time limit is dropped."""
         ask = partial(asked, seen.decide, seen.stage, service.stored.horizon)
         if self.limit_s is None:
             return await to_thread.run_sync(ask) if service.stored.is_table else ask()
@@ -245,12 +245,12 @@ class Served:
         return SteppedBack("late", f"the policy gave no answer within {self.limit_s:g} s")
 
     async def rewarded(self, reward: float, elapsed_s: float | None = None, held: bool | None = None) -> Progress:
-        """Complete the stage in progress, as `RecordedTrajectories.rewarded` does, and raise what it raises."""
+        """Complete the stage in progress; parameters and errors as in `RecordedTrajectories.rewarded`."""
         async with self.lock:
             return self.recording.rewarded(reward, elapsed_s, held)
 
     async def ended(self, cause: str | None, elapsed_s: float | None = None) -> Ended:
-        """End the trajectory in progress, as `RecordedTrajectories.ended` does, and count it where it is compared."""
+        """End the trajectory in progress, as `RecordedTrajectories.ended` does, and count it in a comparison."""
         async with self.lock:
             recording, comparison = self.recording, self.answering.comparison
             ended = recording.ended(cause, elapsed_s)
@@ -261,12 +261,12 @@ class Served:
 
     @property
     def recording(self) -> RecordedTrajectories:
-        """Where decisions are recorded.
+        """Recorder of decisions.
 
         Raises
         ------
         Refusal
-            They are not.
+            Nothing is recorded.
         """
         if self.answering.trajectories is None:
             raise Refusal(409, "this server records nothing; start it with --record LOGS")
@@ -274,7 +274,7 @@ class Served:
 
     @property
     def health(self) -> Health:
-        """How it stands."""
+        """Answer of `/health`."""
         answering, kind = self.answering, self.service.stored.record["kind"]
         recording = UNSET if answering.trajectories is None else answering.trajectories.facts
         compared = UNSET if answering.comparison is None else answering.comparison.facts

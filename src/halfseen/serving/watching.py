@@ -1,7 +1,7 @@
-"""What happened last, and the log that is being recorded, held against what was promised.
+"""Recent events of a server, and the monitoring of its log against the promise.
 
-`halfseen monitor` runs in a process of its own. It is asked for once a trajectory has ended, at most so often, and at a
-low priority, so that no decision waits for it. What it found last stands until it finds more.
+`halfseen monitor` runs in its own process, at low priority and with a limited rate, after a trajectory has ended, so
+that no decision waits for it. Its last result stands until the next one.
 """
 
 import json
@@ -29,23 +29,23 @@ from halfseen.serving.models import Decided, Recorded
 
 EVERY_S = 30.0
 MOST_WORK = 0.1
-"""Share of a core that it takes, however long the log."""
+"""Largest share of a core that it takes, for a log of any length."""
 NICE = 10
 FIGURES, WORK = "figures", "work_s"
 
 
 @dataclass(eq=False)
 class Watch:
-    """Has a log watched beside the server that records it.
+    """Monitors a log beside the server that records it.
 
     Parameters
     ----------
     policy, logs
         Folders.
     every_s
-        How long to wait at least after a look at the log has begun [s].
+        Shortest time between the starts of two looks at the log [s].
     say
-        Is given the sentence of the first alarm, and why the log cannot be watched.
+        Receives the sentence of the first alarm, and the reason if the log cannot be watched.
     """
 
     policy: Path
@@ -53,7 +53,7 @@ class Watch:
     every_s: float = EVERY_S
     say: Callable[[str], object] = print
     found: dict[str, Any] | None = field(default=None, init=False)
-    """As `found_of` has it; None before the first look is over."""
+    """Result of `found_of`; None before the first look has ended."""
 
     def __post_init__(self) -> None:
         self._is_new, self._is_over, self._began_s, self._next_s = False, False, 0.0, 0.0
@@ -72,16 +72,16 @@ class Watch:
 
     @property
     def age_s(self) -> float:
-        """How long ago the log was as it was found [s]."""
+        """Time since the last finished look started [s]."""
         return time.monotonic() - self._began_s
 
     def ended(self) -> None:
-        """Look again, now or where it is next asked for: a trajectory has ended."""
+        """Note that a trajectory has ended, and look again, now or at the next call of `look`."""
         self._is_new = True
         self.look()
 
     def look(self) -> None:
-        """Begin to look at the log, where there is news, nobody does, and it is time."""
+        """Start a look at the log if there is news, no look is running, and one is due."""
         is_busy = self._thread is not None and self._thread.is_alive()
         if self._is_new and not is_busy and time.monotonic() >= self._next_s:
             self._is_new = False
@@ -114,7 +114,7 @@ class Watch:
 
 
 def found_of(policy: Path, logs: Path) -> dict[str, Any]:
-    """Say what `halfseen monitor --json` says, with figures where they can be drawn; or in one line why it cannot."""
+    """Result of `halfseen monitor --json`, with figures if matplotlib is installed; or an error in one line."""
     from halfseen.logs import read_logs
     from halfseen.monitoring.monitor import monitored
     from halfseen.policies.folder import read_policy
@@ -144,18 +144,18 @@ MOST_TRAJECTORIES = 12
 
 @dataclass(eq=False)
 class Recent:
-    """What happened last.
+    """The latest events.
 
     Parameters
     ----------
     watch
-        Holds the log against what was promised; None where nobody does.
+        Monitors the log; None for no monitoring.
     decision
-        The last one; None before the first.
+        The last decision; None before the first.
     seen
-        Covariates that it was about.
+        Covariates of that decision.
     trajectories
-        The newest first.
+        Recent trajectories, the newest first.
     """
 
     watch: Watch | None = None
@@ -164,11 +164,11 @@ class Recent:
     trajectories: deque[Recorded] = field(default_factory=partial(deque, maxlen=MOST_TRAJECTORIES))
 
     def decided(self, seen: Mapping[str, Any], decision: Decided) -> None:
-        """Keep a decision, and what it was about."""
+        """Keep a decision and its covariates."""
         self.seen, self.decision = seen, decision
 
     def ended(self, events: Sequence[dict[str, Any]]) -> None:
-        """Keep a trajectory that is over, and have the log watched again."""
+        """Keep a trajectory that has ended, and look at the log again."""
         rows = followed(events).rows
         (trajectory,), stages = rows["trajectories"], rows["stages"]
         recorded = Recorded(

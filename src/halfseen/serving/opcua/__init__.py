@@ -1,5 +1,5 @@
-"""A policy that a controller asks over OPC UA: halfseen is the client, and the controller's variables are all it needs.
+"""A policy that a controller asks over OPC UA: halfseen is the client, and needs only the controller's variables.
 
-Read down: `mapping` (which variable is what) → `controller` (a session: values with their quality and age) → `wire`
-(what is asked, answered and recorded, whatever is lost in between).
+Reading order: `mapping` (the role of each variable) → `controller` (a session: values with their quality and age) →
+`wire` (requests, answers and recording, robust to lost messages).
 """

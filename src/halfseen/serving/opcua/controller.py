@@ -1,4 +1,4 @@
-"""A session with a controller: its variables by name, each with what speaks against acting on it."""
+"""A session with a controller: its variables by name, each with any reason not to act on it."""
 
 import asyncio
 import math
@@ -22,45 +22,45 @@ from halfseen.serving.models import Refusal
 from halfseen.serving.opcua.mapping import CellMapping, Security
 
 TIME_OUT_S = 4.0
-"""Until an answer of the controller [s]."""
+"""Time limit for an answer of the controller [s]."""
 PUBLISHED_EVERY_MS = 10.0
-"""How often the controller is asked to tell changes [ms]; it may choose to do so less often."""
+"""Requested interval between notifications of changes [ms]; the controller may choose a longer one."""
 CLOCK = "i=2258"
-"""The controller's own: Server_ServerStatus_CurrentTime."""
+"""The controller's clock: Server_ServerStatus_CurrentTime."""
 LOST = (OSError, ua.UaError)
-"""What is raised where a controller is not there, or refuses."""
+"""Errors of a controller that is unreachable, or refuses."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What variables held at one time.
+    """Values of variables at one time.
 
     Parameters
     ----------
     values
-        By name.
+        Values by name.
     doubts
-        Why a value must not be acted on, by name; none where it may.
+        Reason not to act on a value, by name; absent for usable values.
     """
 
     values: Mapping[str, Any]
     doubts: Mapping[str, str] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Any:
-        """The value of a name; raises `Refusal` where it must not be acted on."""
+        """Value of a variable; raises `Refusal` if it must not be acted on."""
         if name in self.doubts:
             raise Refusal(422, f"{name.removeprefix('covariates.')} {self.doubts[name]}")
         return self.values[name]
 
     def whole(self, name: str) -> int:
-        """A whole number from 0; raises `Refusal` where it must not be acted on."""
+        """Value as a nonnegative integer; raises `Refusal` if it is not one, or must not be acted on."""
         value = self[name]
         if not isinstance(value, int) or value < 0:
             raise Refusal(422, f"{name} is {value!r:.40}, and no whole number from 0")
         return value
 
     def number(self, name: str) -> float:
-        """A finite number; raises `Refusal` where it must not be acted on."""
+        """Value as a finite number; raises `Refusal` if it is not one, or must not be acted on."""
         value = self[name]
         if not isinstance(value, int | float) or not math.isfinite(value):
             raise Refusal(422, f"{name} is {value!r:.40}, and no finite number")
@@ -68,18 +68,18 @@ class Snapshot:
 
     @property
     def ending(self) -> str:
-        """How the trajectory ended, empty while it goes on; raises `Refusal` where it must not be acted on."""
+        """How the trajectory ended, empty while it continues; raises `Refusal` if it must not be acted on."""
         return str(self["ending"] or "")
 
     @property
     def covariates(self) -> dict[str, Any]:
-        """Covariates by name; raises `Refusal` where it must not be acted on."""
+        """Covariates by name; raises `Refusal` if one must not be acted on."""
         return {name.removeprefix("covariates."): self[name] for name in self.values if name.startswith("covariates.")}
 
 
 @dataclass(eq=False)
 class Controller:
-    """A controller that a session is held with.
+    """A controller with an open session.
 
     Parameters
     ----------
@@ -88,9 +88,9 @@ class Controller:
     reads, writes
         Variables by name.
     types
-        What is written as, by name.
+        Types of the written variables, by name.
     stale_after_s
-        As `CellMapping` has it.
+        As in `CellMapping`.
     """
 
     client: Client
@@ -101,11 +101,11 @@ class Controller:
     _news: asyncio.Event = field(default_factory=asyncio.Event)
 
     def datachange_notification(self, node: Node, val: Any, data: Any) -> None:
-        """Note that something is asked; asyncua calls it."""
+        """Note a new request; called by asyncua."""
         self._news.set()
 
     async def news(self, limit_s: float) -> None:
-        """Wait until something is asked, or so long."""
+        """Wait for a request, at most `limit_s`."""
         try:
             await asyncio.wait_for(self._news.wait(), limit_s)
         except TimeoutError:
@@ -113,7 +113,7 @@ class Controller:
         self._news.clear()
 
     async def read(self) -> Snapshot:
-        """Read all variables at once; raises what `LOST` lists."""
+        """Read all variables at once; raises the errors in `LOST`."""
         nodes = [self.client.get_node(CLOCK), *self.reads.values()]
         clock, *found = await self.client.read_attributes(nodes)
         by_name = dict(zip(self.reads, found, strict=True))
@@ -124,7 +124,7 @@ class Controller:
         return Snapshot(values, {name: doubt for name, doubt in doubts.items() if doubt})
 
     async def write(self, values: Mapping[str, Any]) -> None:
-        """Write variables, those that the mapping lacks aside; raises what `LOST` lists."""
+        """Write variables, except those missing in the mapping; raises the errors in `LOST`."""
         typed = {name: ua.DataValue(self.typed(name, value)) for name, value in values.items() if name in self.writes}
         nodes = [self.writes[name].nodeid for name in typed]
         if not nodes:
@@ -133,7 +133,7 @@ class Controller:
             code.check()
 
     def typed(self, name: str, value: Any) -> ua.Variant:
-        """Give a value the type of its variable; raises `ArgumentError` where that takes no text."""
+        """Convert a value to the type of its variable; raises `ArgumentError` for text in a non-text variable."""
         kind = self.types[name]
         if isinstance(value, str) and kind != ua.VariantType.String:
             raise ArgumentError(f"{name} is {value!r}, and its variable takes {kind.name}; give codes in [actions]")
@@ -141,7 +141,7 @@ class Controller:
 
 
 def _doubt(found: ua.DataValue, now: datetime | None, limit_s: float | None) -> str:
-    """Why a value must not be acted on; empty where it may."""
+    """Reason not to act on a value; empty if there is none."""
     status = found.StatusCode
     if status is not None and not status.is_good():
         return f"has the quality {status.name}"
@@ -160,7 +160,7 @@ def _value(found: ua.DataValue) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """A value as a log takes it."""
+    """The value in a type that logs accept."""
     if isinstance(value, ua.LocalizedText):
         return value.Text
     return int(value) if isinstance(value, bool) else value
@@ -168,23 +168,23 @@ def _plain(value: Any) -> Any:
 
 @asynccontextmanager
 async def connected(url: str, mapping: CellMapping, password: str | None = None) -> AsyncIterator[Controller]:
-    """Hold a session with a controller, and hear of its requests.
+    """Open a session with a controller, and subscribe to its requests.
 
     Parameters
     ----------
     url
-        As opc.tcp://HOST:PORT.
+        Address, as opc.tcp://HOST:PORT.
     mapping
-        Where its variables are.
+        Locations of its variables.
     password
-        Of the user that the mapping names.
+        Password of the user in the mapping.
 
     Raises
     ------
     ArgumentError
         A variable is not where the mapping says.
     OSError, ua.UaError
-        It is not there, or refuses.
+        The controller is unreachable, or refuses.
     """
     client = Client(url, timeout=TIME_OUT_S)
     if mapping.security is not None:
@@ -215,7 +215,7 @@ async def _nodes(client: Client, mapping: CellMapping, paths: Mapping[str, str])
 
 @contextmanager
 def _usable() -> Iterator[None]:
-    """Refuse a certificate or key that is none."""
+    """Refuse an invalid certificate or key."""
     try:
         yield
     except (ValueError, TypeError, x509.ExtensionNotFound) as error:
@@ -223,7 +223,7 @@ def _usable() -> Iterator[None]:
 
 
 async def _secure(client: Client, security: Security, password: str | None) -> None:
-    """Sign, or sign and encrypt, and say who asks."""
+    """Set up signing, encryption and the user's identity."""
     certificate = await uacrypto.load_certificate(security.certificate)
     names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     client.application_uri = next(iter(names.get_values_for_type(x509.UniformResourceIdentifier)), "")

@@ -1,4 +1,4 @@
-"""Which variable of a controller is what: the mapping file of ``serve --opcua``, and a template of it."""
+"""The mapping file of ``serve --opcua``, which assigns a role to each controller variable; and its template."""
 
 import json
 import re
@@ -18,7 +18,7 @@ Given: Any = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
 
 
 class Reads(msgspec.Struct, **Given):
-    """Browse paths of what is asked and of what came of it."""
+    """Browse paths of requests and outcomes."""
 
     request: str
     stage: str
@@ -28,7 +28,7 @@ class Reads(msgspec.Struct, **Given):
 
 
 class Writes(msgspec.Struct, **Given):
-    """Browse paths of what is answered; None for what the controller does not want to know."""
+    """Browse paths of answers; None for those that the controller does not need."""
 
     action: str
     decision: str
@@ -37,20 +37,20 @@ class Writes(msgspec.Struct, **Given):
 
 
 class Security(msgspec.Struct, **Given):
-    """How messages are signed and encrypted, and who asks; files lie beside the mapping file.
+    """Signing, encryption and user; file names are relative to the mapping file.
 
     Parameters
     ----------
     mode, policy
-        As the controller offers them.
+        As offered by the controller.
     certificate, key
-        Of halfseen, .der or .pem.
+        Files of halfseen, .der or .pem.
     server_certificate
-        Of the controller, which alone is trusted.
+        Certificate of the controller; no other is trusted.
     user
-        Its name; the password is never in a file.
+        User name; the password is never in a file.
     user_certificate, user_key
-        Of the user, in place of a password.
+        Files of the user, instead of a password.
     """
 
     mode: Literal["Sign", "SignAndEncrypt"]
@@ -64,22 +64,22 @@ class Security(msgspec.Struct, **Given):
 
 
 class CellMapping(msgspec.Struct, **Given):
-    """Where a controller's variables are.
+    """Locations of a controller's variables.
 
     Parameters
     ----------
     namespaces
-        Their addresses by alias; a name without an alias is in the first.
+        Namespace addresses by alias; a name without an alias is in the first.
     reads, writes
-        What is asked and answered.
+        Variables of requests and answers.
     covariates
         Browse paths by covariate.
     actions
-        Codes of actions, where the controller takes whole numbers; empty where it takes names.
+        Integer codes of actions; empty if the controller takes names.
     stale_after_s
-        How old a value may be that is acted on [s]; None for any age.
+        Largest age of a value that is acted on [s]; None for no limit.
     security
-        None for messages in plain text.
+        Security settings; None for plain text.
     """
 
     namespaces: Annotated[dict[str, str], msgspec.Meta(min_length=1)]
@@ -92,21 +92,21 @@ class CellMapping(msgspec.Struct, **Given):
 
     @property
     def readable(self) -> dict[str, str]:
-        """Browse paths of all that is read, by name; covariates as (covariates.name)."""
+        """Browse paths of the variables to read, by name; covariates as covariates.NAME."""
         given = {f"covariates.{name}": path for name, path in self.covariates.items()}
         return {**msgspec.structs.asdict(self.reads), "decision": self.writes.decision, **given}
 
     @property
     def writable(self) -> dict[str, str]:
-        """Browse paths of all that is written, by name."""
+        """Browse paths of the variables to write, by name."""
         return {name: path for name, path in msgspec.structs.asdict(self.writes).items() if path is not None}
 
     def code_of(self, action: int | str) -> int | str:
-        """What is written for an action."""
+        """The value to write for an action."""
         return self.actions.get(str(action), action)
 
     def browse_names(self, path: str) -> list[tuple[str, str]]:
-        """Take a browse path apart: of each name the address of its namespace, and the name."""
+        """Split a browse path into pairs of namespace address and name."""
         first = next(iter(self.namespaces))
         parts = [part.partition(":") for part in path.split("/")]
         known = [(alias, name) if alias in self.namespaces else (first, alias + by + name) for alias, by, name in parts]
@@ -119,14 +119,14 @@ def read_mapping(file: Path, stored: StoredPolicy) -> CellMapping:
     Parameters
     ----------
     file
-        As `template_of` begins one.
+        Mapping file, in the form of `template_of`.
     stored
-        The policy that is to decide there.
+        The policy that decides there.
 
     Raises
     ------
     ArgumentError
-        It cannot be read, something in it is missing, unknown or of the wrong type, or it does not fit the policy.
+        The file cannot be read, an entry is missing, unknown or of the wrong type, or it does not fit the policy.
     """
     _refuse_tables(stored)
     mapping, policy = mapping_in(file, CellMapping, REMEDY), stored.policy
@@ -150,7 +150,7 @@ def _refuse_tables(stored: StoredPolicy) -> None:
 
 
 def _beside(file: Path, security: Security | None) -> Security | None:
-    """Take file names of a mapping from its folder."""
+    """Resolve file names relative to the mapping file."""
     if security is None:
         return None
     named = {name: getattr(security, name) for name in FILES}
@@ -164,7 +164,7 @@ def _beside(file: Path, security: Security | None) -> Security | None:
 
 
 def template_of(stored: StoredPolicy) -> str:
-    """Begin a mapping file for a policy: with its covariates and actions, each key explained.
+    """Template of a mapping file for a policy: its covariates and actions, with each key explained.
 
     Raises
     ------
@@ -179,7 +179,7 @@ def template_of(stored: StoredPolicy) -> str:
 
 
 def _table(entries: Mapping[str, Any], before: str = "") -> str:
-    """Lines of a table of TOML, which quotes as JSON does."""
+    """Lines of a TOML table, quoted as in JSON."""
     keys = [name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name) for name in entries]
     return "\n".join(f"{before}{key} = {json.dumps(value)}" for key, value in zip(keys, entries.values(), strict=True))
 

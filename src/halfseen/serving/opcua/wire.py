@@ -1,12 +1,12 @@
-"""What a controller asks, is answered and recorded, whatever is lost in between.
+"""The exchange with a controller: requests, answers and recording, robust to lost messages.
 
-The controller counts its questions; what it asks and what came of the answer before stand together. A decision is
-recorded before it is written, and the log names the number of its trajectory's first request. So where a session or
-either side is lost, log and numbers tell what comes next: with r the request and d the last decision of the trajectory
-in progress,
+The controller numbers its requests; each holds a state and the outcome of the previous decision. A decision is recorded
+before it is written, and the log holds the number of its trajectory's first request. After a lost session or a restart
+of either side, the log and the numbers determine the next step. With r the request and d the last decision of the
+trajectory in progress:
 
-* r = d, and the state is still that of the log: the decision was taken, and is written again, not taken again;
-* r = d + 1: the outcome of d is recorded, then the next decision taken, or the trajectory ended;
+* r = d, and the state equals that of the log: the logged decision is written again, not taken again;
+* r = d + 1: the outcome of d is recorded, then the next decision is taken, or the trajectory ends;
 * any other r: requests were lost, and the trajectory is cut.
 """
 
@@ -32,10 +32,9 @@ from halfseen.serving.served import Served
 REQUEST = "first_request"
 """Column of a trajectory: the number of its first request."""
 REQUESTS_LOST = "requests-lost"
-"""Cause of the cut of a trajectory whose requests do not go on where the log ends."""
+"""Cause of the cut of a trajectory whose requests do not continue where the log ends."""
 LOOKED_AFTER_S, TRIED_AGAIN_AFTER_S, BEGUN_AGAIN_AFTER_S = 1.0, 0.1, 0.5
-"""When the controller is looked at without news, while all is well and while a value is doubtful, and when a session is
-begun again [s]."""
+"""Polling interval without news, in normal operation and after an error, and delay before a new session [s]."""
 
 
 def _tell(line: str) -> None:
@@ -51,13 +50,13 @@ class Wire:
     served
         The policy, which records with `resumes`.
     url
-        Of the controller, as opc.tcp://HOST:PORT.
+        Address of the controller, as opc.tcp://HOST:PORT.
     mapping
-        Where its variables are.
+        Locations of its variables.
     password
-        Of the user that the mapping names.
+        Password of the user in the mapping.
     tell
-        Is given a line where something goes wrong, and where it goes well again.
+        Receives a line when an error begins, and when it is over.
     """
 
     served: Served
@@ -71,7 +70,7 @@ class Wire:
         self.facts = Wired(self.url, "Preoperational", None, None)
 
     def resume(self) -> None:
-        """Go on with the deal of a trajectory in progress; one that this comparison did not deal is cut."""
+        """Resume the deal of a trajectory in progress; cut a trajectory that this comparison did not deal."""
         comparison, recording = self.served.answering.comparison, self.served.answering.trajectories
         if comparison is None or recording is None or not recording.columns:
             return
@@ -80,16 +79,16 @@ class Wire:
 
     @property
     def recording(self) -> RecordedTrajectories:
-        """Where decisions are recorded; raises `Refusal` where they are not."""
+        """Recorder of decisions; raises `Refusal` if nothing is recorded."""
         return self.served.recording
 
     async def check(self) -> None:
-        """Try the controller once; one that is not there yet may come later.
+        """Try to connect to the controller once; it may also become reachable later.
 
         Raises
         ------
         ArgumentError
-            It refuses, or has not the variables of the mapping.
+            The controller refuses, or lacks a variable of the mapping.
         """
         try:
             async with connected(self.url, self.mapping, self.password) as controller:
@@ -102,7 +101,7 @@ class Wire:
 
     @asynccontextmanager
     async def running(self) -> AsyncIterator[None]:
-        """Answer the controller for a while."""
+        """Answer the controller within this context."""
         task = asyncio.create_task(self.run())
         try:
             yield
@@ -112,7 +111,7 @@ class Wire:
                 await task
 
     async def run(self) -> None:
-        """Answer the controller until this is cancelled; a session that is lost is begun again."""
+        """Answer the controller until cancelled; reconnect after a lost session."""
         self.resume()
         while True:
             try:
@@ -125,7 +124,7 @@ class Wire:
                     traceback.print_exc(file=sys.stderr)
                 self._note("Preoperational", ": ".join(filter(None, (type(error).__name__, str(error)))))
             except asyncio.CancelledError:
-                # So asyncua tells of a session that is lost, too.
+                # asyncua also raises this for a lost session.
                 task = asyncio.current_task()
                 if task is None or task.cancelling():
                     raise
@@ -133,7 +132,7 @@ class Wire:
             await asyncio.sleep(BEGUN_AGAIN_AFTER_S)
 
     async def look(self, controller: Controller) -> None:
-        """Look at the controller once: answer what it asks, or say why not; raises what `LOST` lists."""
+        """Read the controller once, and answer it or give the reason why not; raises the errors in `LOST`."""
         before = self.facts
         seen = await controller.read()
         try:
@@ -146,20 +145,20 @@ class Wire:
         except LOST:
             raise
         except Exception as error:
-            # The next request is answered all the same.
+            # The next request is still answered.
             traceback.print_exc(file=sys.stderr)
             self._note("Error", f"this went wrong in halfseen itself ({type(error).__name__})")
         if self.facts != before:
             await controller.write({"state": self.facts.state, "error": self.facts.error or ""})
 
     def _note(self, state: Any, error: str | None, request: int | None = None) -> None:
-        """Keep how it stands, and tell it where that has changed."""
+        """Update the facts, and report a change of the error."""
         if error != self.facts.error:
             self.tell(f"{self.url}: {'all is well again' if error is None else f'no decision is written: {error}'}")
         self.facts = Wired(self.url, state, error, self.facts.request if request is None else request)
 
     async def _answer(self, controller: Controller, seen: Snapshot) -> None:
-        """Answer a request, unless it is answered."""
+        """Answer a request unless it is already answered."""
         request = seen.whole("request")
         if request in (0, seen.values["decision"]):
             return
@@ -172,12 +171,12 @@ class Wire:
         await controller.write({"decision": request})
 
     def _last_decision(self) -> int | None:
-        """The number of the last decision of the trajectory in progress; None where none is."""
+        """Number of the last decision of the trajectory in progress; None if there is none."""
         first = self.recording.columns.get(REQUEST)
         return None if first is None else first + self.recording.facts.stage - 1
 
     def _decided_before(self, request: int, seen: Snapshot) -> Any:
-        """The action that the log has for this very question; None where it has none."""
+        """Logged action for this same request; None if there is none."""
         facts, last = self.recording.facts, self.recording.last
         if request != self._last_decision() or facts.waits_for != "reward" or seen.ending or last is None:
             return None
@@ -186,7 +185,7 @@ class Wire:
         return facts.action if is_same else None
 
     async def _take_outcome(self, request: int, seen: Snapshot) -> None:
-        """Record what the decision before brought, and the end of its trajectory."""
+        """Record the outcome of the previous decision, and the end of its trajectory."""
         last, ending, facts = self._last_decision(), seen.ending, self.recording.facts
         if facts.trajectory is None:
             return
