@@ -55,7 +55,7 @@ def clock_tolerance_s(time: Rows) -> float:
 
 
 def tied(time: Rows) -> tuple[Rows, float]:
-    """Replace times that count as equal by the earliest of them; return the tolerance, too [s], 0 without ties."""
+    """Replace times that count as equal by the earliest of them; also return the tolerance [s], 0 without ties."""
     tolerance_s = clock_tolerance_s(time)
     distinct, place = np.unique(time, return_inverse=True)
     is_first = np.append(True, np.diff(distinct) > tolerance_s)
@@ -91,7 +91,7 @@ class StageClocks(NamedTuple):
 
     @classmethod
     def of_ends(cls, end_s: Float[np.ndarray, " n"], is_finished: Bool[np.ndarray, " n"]) -> "StageClocks":
-        """Trajectories of which only the ends are known; the unknown fields take no memory."""
+        """Trajectories with known ends only; the unknown fields take no memory."""
         shape = (len(end_s), 1)
         return cls(
             trajectory_ids=np.broadcast_to(np.array(None), len(end_s)),
@@ -115,7 +115,7 @@ class StageClocks(NamedTuple):
 
     @property
     def is_completed(self) -> Bool[np.ndarray, "n T"]:
-        """δ_t."""
+        """δ_t: whether each stage was completed."""
         return ~np.isnan(self.elapsed_s)
 
     @property

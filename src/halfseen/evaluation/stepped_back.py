@@ -1,8 +1,8 @@
-"""A policy with the rule in its place: where a state shows a category that the policy's log never showed.
+"""A policy whose rule decides in states with a category that is not in the policy's training log.
 
-In service the policy steps back there, and the log says so. What was done is then what the policy and its rule would do
-again. So rare a category has no coefficient of its own: models take it for the category that is most frequent, and
-what they err by there the weights correct.
+In service the policy steps back in such states, and the log records it. The logged action is then what the policy and
+its rule would do again. Such a rare category has no coefficient of its own: models treat it as the most frequent
+category, and the importance weights correct the error.
 """
 
 from collections.abc import Hashable
@@ -30,9 +30,9 @@ class WithItsRule:
     policy
         The policy.
     actions
-        Names of its actions, and of what else the rule did.
+        Names of its actions, and of further actions of the rule.
     by_rule
-        Trajectory and stage of what the rule decided.
+        Trajectory and stage of each decision of the rule.
     """
 
     policy: DiscretePolicy
@@ -41,12 +41,12 @@ class WithItsRule:
 
     @property
     def covariates(self) -> tuple[str, ...]:
-        """Columns that the policy looks at."""
+        """Columns that the policy uses."""
         return self.policy.covariates
 
     @property
     def categories(self) -> Categories:
-        """Of those that hold text."""
+        """Categories of the covariates that hold text."""
         return self.policy.categories
 
     @property
@@ -60,28 +60,28 @@ class WithItsRule:
         return self.policy.actions_by_stage
 
     def probabilities(self, frame: Any, stage: int) -> Float[np.ndarray, "m A"]:
-        """π(a | S): 1 for the action that it takes, or that its rule took."""
+        """π(a | S): 1 for the action that the policy takes or its rule took."""
         is_by_rule = pd.MultiIndex.from_frame(frame[STAGE]).isin(self.by_rule)
         taken = np.where(is_by_rule, frame["action"].to_numpy(dtype=object), self.policy.decide(frame, stage))
         return (pd.Index(self.actions).get_indexer(taken)[:, None] == np.arange(len(self.actions))).astype(np.float64)
 
 
 class Served(NamedTuple):
-    """A policy, and a log of its service, as models can be fitted to it."""
+    """A policy, and a log of its service that models can be fitted to."""
 
     policy: Any
     logs: Logs
     notes: tuple[str, ...] = ()
-    """What stands for what."""
+    """Which categories were replaced, and by which."""
 
 
 def with_its_rule(policy: Any, logs: Logs) -> Served:
-    """Put a policy together with the rule of its service; all as it is where the log shows no category new to it.
+    """Combine a policy with the rule of its service; unchanged if the log has no category unknown to the policy.
 
     Raises
     ------
     LogError
-        A state shows one, and the log does not say that the policy stepped back there.
+        A state has an unknown category, and the log does not record that the policy stepped back there.
     """
     stages = logs.stages
     if not isinstance(policy, DiscretePolicy) or not set(policy.covariates) <= set(stages.columns):
@@ -89,7 +89,7 @@ def with_its_rule(policy: Any, logs: Logs) -> Served:
     is_new = ~policy.looks_at.knows(stages)
     if not is_new.any():
         return Served(policy, logs)
-    # What nobody stepped back from is refused as ever.
+    # Refuse unknown categories from which the policy did not step back.
     unexplained: Any = stages[is_new & ~_is_by_rule(stages)]
     policy.looks_at.encode(unexplained)
     by_rule: Any = stages[is_new]
@@ -106,7 +106,7 @@ def _is_by_rule(stages: Any) -> Bool[np.ndarray, " m"]:
 
 
 def _replaced(categories: Categories, stages: Any) -> tuple[Any, tuple[str, ...]]:
-    """Put the most frequent of the known categories in the place of all others, and say so."""
+    """Replace unknown categories by the most frequent known one, and describe each replacement."""
     columns, notes = {}, []
     for name, known in categories.items():
         values = stages[name].astype(object).map(str)

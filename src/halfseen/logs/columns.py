@@ -1,6 +1,6 @@
-"""Names and types of the columns of a log, and how a broken log is refused.
+"""Names and types of the columns of a log, and errors for broken logs.
 
-A refusal says where, what, the value, the remedy.
+An error message gives the place, the fault, the value and the remedy.
 """
 
 import re
@@ -16,10 +16,10 @@ from halfseen.logs.missing import remedy_of, share_of
 from halfseen.shapes import Bool, Float
 
 LARGEST_FRACTION = 2**53
-"""From it on, fractions tell no whole numbers apart: it may stand for the next one, too."""
+"""From here on, float64 cannot distinguish neighbouring whole numbers: this one may also represent the next."""
 
 STEPPED_BACK = "stepped_back"
-"""Column that says why the rule decided in a policy's place, null where it did not; no covariate."""
+"""Column with the reason why the rule decided in place of the policy, else null; not a covariate."""
 STAGE_COLUMNS = ("trajectory", "stage", "elapsed_s", "action", "object", "reward", "probability", "robot", STEPPED_BACK)
 TRAJECTORY_COLUMNS = ("trajectory", "end_s", "ending", "cause")
 OBJECT_COLUMNS = ("trajectory", "stage", "object")
@@ -31,22 +31,22 @@ NEEDED = {
     "trajectories": ("trajectory", "end_s", "ending"),
     "objects": OBJECT_COLUMNS,
 }
-"""Columns that each table has, whatever else is known."""
+"""Required columns of each table."""
 
 ROBOT = "robot"
-"""Column of the robot that decides in a stage; a log without it is of one robot."""
+"""Column of the robot that decides in a stage; a log without it has one robot."""
 FINISHED, CUT = "finished", "cut"
 UNKNOWN_CAUSE = "unknown"
 
 MOST_SHOWN = 200
-"""Characters of a value that a message shows."""
+"""Maximum number of characters of a value in a message."""
 
 
-# Refusals.
+# Errors.
 
 
 def shown(value: object) -> str:
-    """Write a value as it stands in the table: 17, but '17' for text, and null whatever stands for it."""
+    """Format a value as in the table: 17, but '17' for text, and null for any kind of null."""
     if pd.api.types.is_scalar(value) and bool(np.asarray(pd.isna(value))):
         return "null"
     text = " ".join(map(str.strip, repr(value.item() if isinstance(value, np.generic) else value).splitlines()))
@@ -54,7 +54,7 @@ def shown(value: object) -> str:
 
 
 def value_at(frame: pd.DataFrame, column: str, row: int) -> Any:
-    """Read one value with the type of its column; a whole row would turn its integers to floats."""
+    """Read one value with the type of its column; reading a whole row would turn its integers into floats."""
     return frame[column].iloc[row]
 
 
@@ -69,14 +69,14 @@ def refuse(
     trouble: str | Callable[[int], str],
     columns: tuple[str, ...] = ("trajectory", "stage"),
 ) -> None:
-    """Raise for the first row that is wrong, if one is; `trouble` may be a function of that row."""
+    """Raise for the first wrong row, if there is one; `trouble` may be a function of that row."""
     if wrong.any():
         row = int(np.argmax(wrong))
         raise LogError(f"{place(frame, row, columns)}: {trouble if isinstance(trouble, str) else trouble(row)}")
 
 
 def converting(folder: Any) -> str:
-    """The remedy for logs of version 1, in which a trajectory was called a path."""
+    """The remedy for logs of version 1, which called trajectories paths."""
     return f"convert it: halfseen convert {folder} --out NEW"
 
 
@@ -84,28 +84,28 @@ def converting(folder: Any) -> str:
 
 
 def is_own_reward(column: str) -> bool:
-    """Whether a column of stages is what one robot of several brought, such as 0_reward."""
+    """Whether a column of stages is the reward of one robot of several, such as 0_reward."""
     return re.fullmatch(r"\d+_reward", column) is not None
 
 
 def is_of_one_robot(column: str) -> bool:
-    """Whether a column tells of one robot of several what it brought, or when or why it dropped out."""
+    """Whether a column is the reward of one robot of several, or the time or cause of its dropout."""
     return re.fullmatch(r"\d+_(reward|out_s|out_cause)", column) is not None
 
 
 def robots_that_may_drop_out(trajectories: pd.DataFrame) -> list[int]:
-    """Numbers of the robots of which the trajectories tell whether they dropped out."""
+    """Numbers of the robots whose dropouts the trajectories record."""
     found = (re.fullmatch(r"(\d+)_out_s", str(column)) for column in trajectories.columns)
     return sorted(int(each[1]) for each in found if each is not None)
 
 
 def is_stage_covariate(column: str) -> bool:
-    """Whether a column of stages tells what was known when the stage began, not what came of it."""
+    """Whether a column of stages is a covariate: known when the stage began, not an outcome."""
     return column not in STAGE_COLUMNS and not is_own_reward(column)
 
 
 def require_columns(name: str, frame: pd.DataFrame, needed: Iterable[str]) -> None:
-    """Refuse a table that lacks a column; the message names those there and the closest match."""
+    """Refuse a table that lacks a column; the message lists its columns and the closest match."""
     there = list(frame.columns)
     for column in needed:
         if column not in there:
@@ -115,16 +115,16 @@ def require_columns(name: str, frame: pd.DataFrame, needed: Iterable[str]) -> No
 
 
 def refuse_repeated(place: object, names: Sequence[str], remedy: str = "drop or rename one") -> None:
-    """Refuse a table with two columns of one name."""
+    """Refuse a table with two columns of the same name."""
     repeated = next((name for k, name in enumerate(names) if name in names[:k]), None)
     if repeated is not None:
         raise LogError(f"{place}: there are two columns {repeated!r}; {remedy}")
 
 
 def refuse_misnamed(name: str, frame: pd.DataFrame) -> None:
-    """Refuse an extra column that belongs to another table, or whose name is nearly one that has a meaning.
+    """Refuse an extra column that belongs to another table, or whose name is nearly that of a standard column.
 
-    Either would be taken for a covariate, and what it says would be lost.
+    Either would be taken for a covariate, and its meaning would be lost.
     """
     own = _OWN[name]
     for column in (column for column in frame.columns if column not in own):
@@ -139,7 +139,7 @@ def refuse_misnamed(name: str, frame: pd.DataFrame) -> None:
 
 
 def as_floats(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
-    """Turn a column into float64 with NaN where null; text is refused rather than parsed."""
+    """Convert a column to float64, null to NaN; text is refused rather than parsed."""
     values: Any = frame[column]
     if values.isna().all():
         return pd.Series(np.nan, index=frame.index, dtype="float64")
@@ -150,7 +150,7 @@ def as_floats(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
 
 
 def as_counts(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
-    """Turn a column of whole numbers into int64."""
+    """Convert a column of whole numbers to int64."""
     numbers = as_floats(name, frame, column).to_numpy()
     wrong = ~_is_whole(numbers)
     if wrong.any():
@@ -163,7 +163,7 @@ def as_counts(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
 
 
 def as_labels(name: str, frame: pd.DataFrame, column: str, *, is_null_allowed: bool) -> pd.Series:
-    """Turn a column of names into whole numbers or text, whatever null did to its type on the way."""
+    """Convert a column of names to whole numbers or text, even if nulls turned it into floats."""
     values: Any = frame[column]
     if isinstance(values.dtype, pd.CategoricalDtype):
         values = values.astype(values.cat.categories.dtype)
@@ -186,12 +186,12 @@ def as_labels(name: str, frame: pd.DataFrame, column: str, *, is_null_allowed: b
 
 
 def _is_whole(numbers: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Which are whole numbers that fractions tell apart."""
+    """Which are whole numbers that float64 represents exactly."""
     return (np.abs(numbers) < LARGEST_FRACTION) & (numbers == np.floor(numbers))
 
 
 def check_covariates(name: str, frame: pd.DataFrame, known: Collection[str], *, may_be_null: bool = False) -> None:
-    """Refuse null, NaN and infinity among numeric covariates, those in lists included; null may be allowed."""
+    """Refuse null, NaN and infinity in numeric covariates and in lists of numbers; null may be allowed."""
     for column in (column for column in frame.columns if column not in known):
         wrong = _missing_numbers(frame[column])
         is_null = frame[column].isna().to_numpy(dtype=bool) if wrong.any() else wrong
@@ -209,7 +209,7 @@ def check_covariates(name: str, frame: pd.DataFrame, known: Collection[str], *, 
 
 
 def _missing_numbers(values: Any) -> Bool[np.ndarray, " rows"]:
-    """Rows that lack a finite number, in a numeric column or inside a list of numbers."""
+    """Rows with a missing or infinite number, in a numeric column or in a list of numbers."""
     if pd.api.types.is_numeric_dtype(values.dtype):
         return ~np.isfinite(values.to_numpy(dtype=np.float64, na_value=np.nan))
     if values.dtype == object and pd.api.types.infer_dtype(values, skipna=True) == "mixed":

@@ -1,4 +1,4 @@
-"""Input forms of a table, and the pandas frame as which it is stored: one that survives Parquet unchanged."""
+"""Input forms of a table, and its stored form: a pandas frame that survives Parquet unchanged."""
 
 import json
 import re
@@ -21,10 +21,10 @@ _KEPT_IN_ARROW = re.compile(r"(dictionary|(large_|fixed_size_)?list|struct|map|d
 
 @runtime_checkable
 class ArrowStream(Protocol):
-    """Any table that speaks Arrow's C stream interface: pyarrow, polars, DuckDB, …."""
+    """Any table with Arrow's C stream interface: pyarrow, polars, DuckDB, …."""
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
-        """Hand the table over."""
+        """Export the table."""
         ...
 
 
@@ -32,10 +32,10 @@ FrameLike: TypeAlias = pd.DataFrame | ArrowStream | Mapping[str, Any]
 
 
 def as_frame(name: str, data: object, own_columns: Collection[str] = ()) -> pd.DataFrame:
-    """Copy a table into the form in which it is stored.
+    """Copy a table into its stored form.
 
     The copy goes through Arrow, so that tables in memory and tables read back from disk have the same types: lists
-    become arrays, and text is text. Parquet has only text categories, so numeric categories become text.
+    become arrays, and text stays text. Parquet has only text categories, so numeric categories become text.
 
     Parameters
     ----------

@@ -1,13 +1,12 @@
-"""What stands for a covariate of the stages that is missing: a rule by column, and what the log taught it.
+"""Imputation of missing covariates of the stages: a rule for each column, fitted to the log.
 
-A rule is ``"refuse"``, as where nothing is said; ``"median+flag"``, the median of the log, and a column
-``NAME_missing`` that is 1 where it stands (of text, a category of its own: ``"missing"``); or ``"last"``, the last
-value seen in the same trajectory, and before the first the same as of ``"median+flag"``, without a column. ``"keep"``
-lets all nulls stand, to write a log again: nothing can be learned from it. When each is right depends on why values
-are missing [LittleRubin2019]_; a flag is a part of the state, if the decision lacked the value, too.
+``"refuse"`` is the default. ``"median+flag"`` fills in the median of the log, and adds a column ``NAME_missing`` that
+is 1 in such rows; for text, it fills in the separate category ``"missing"``. ``"last"`` fills in the last value of the
+same trajectory; before the first value, it acts like ``"median+flag"`` without a flag. ``"keep"`` leaves all nulls, to
+rewrite a log; nothing can be learned from such a log. The right rule depends on why values are missing
+[LittleRubin2019]_. A flag is part of the state if the decision lacked the value, too.
 
-What is null is filled in where a log is read. A policy keeps its `Filling`, and fills in the states that it is asked
-about in the same way.
+Nulls are filled in when a log is read. A policy keeps its `Filling`, and fills in its states in the same way.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping
@@ -23,22 +22,22 @@ from halfseen.lazy import Frame
 REFUSE, MEDIAN, LAST, KEEP = "refuse", "median+flag", "last", "keep"
 RULES = (MEDIAN, LAST, REFUSE)
 OTHERS = "*"
-"""In rules by column: all columns that are not named."""
+"""Key of the rule for all columns that are not named."""
 CATEGORY, FLAG = "missing", "_missing"
 _LARGEST = 1e300
 
 
 @dataclass(frozen=True)
 class Fill:
-    """What stands for one covariate where it is missing."""
+    """Fill value of one covariate."""
 
     rule: Literal["median+flag", "last"]
     value: float | str | None
-    """The median, or the category of what is missing; None of text that the log never lacked."""
+    """The median, or the category for missing text; None for text that was never missing in the log."""
     num_missing: int = 0
-    """Stages of the log that lacked it."""
+    """Number of stages of the log in which it was missing."""
     has_flag: bool = False
-    """Whether a column tells where it was missing."""
+    """Whether a column marks where it was missing."""
 
     def __post_init__(self) -> None:
         if isinstance(self.value, float) and not np.isfinite(self.value):
@@ -53,19 +52,19 @@ class Fill:
 
     @property
     def source(self) -> str:
-        """What its value is."""
+        """Description of its value."""
         return "the median of the logs" if self.is_number else "a category of its own"
 
     @property
     def stands(self) -> str:
-        """Say what stands where it is missing."""
+        """Describe how it is filled in."""
         value = f"the median {self.value:.6g}" if self.is_number else f"the category {self.value!r}"
         return f"the last value of its trajectory stands, or {value}," if self.rule == LAST else f"{value} stands"
 
 
 @dataclass(frozen=True)
 class Filling:
-    """What stands for covariates that are missing.
+    """Fill values of all covariates with missing values.
 
     Examples
     --------
@@ -76,7 +75,7 @@ class Filling:
 
     fills: Mapping[str, Fill]
     num_stages: int
-    """Stages of the log that it was learned from."""
+    """Number of stages of the log that it was fitted to."""
 
     def __post_init__(self) -> None:
         if self.num_stages < 1:
@@ -84,16 +83,16 @@ class Filling:
 
     @property
     def flags(self) -> dict[str, str]:
-        """Columns that tell where a covariate was missing, each with that covariate."""
+        """Columns that mark where a covariate was missing, each with that covariate."""
         return {name + FLAG: name for name, fill in self.fills.items() if fill.has_flag}
 
     def of_log(self, stages: Frame) -> Frame:
-        """Fill in the stages of whole trajectories, which are sorted by trajectory and stage; say what is no column.
+        """Fill in the stages of whole trajectories, sorted by trajectory and stage; warn of each absent column.
 
         Raises
         ------
         LogError
-            A covariate holds text where the filling is of numbers, or the other way round.
+            A covariate holds text where the fill value is a number, or vice versa.
         """
         columns: dict[str, Any] = {}
         absent = self.absent_from(stages.columns)
@@ -105,11 +104,11 @@ class Filling:
         return full.assign(**columns) if columns else full
 
     def absent_from(self, columns: Collection[str]) -> list[str]:
-        """Covariates that are no columns of a log, and for which something stands."""
+        """Covariates that are not columns of a log but have a fill value."""
         return [name for name, fill in self.fills.items() if name not in columns and fill.value is not None]
 
     def of_states(self, frame: Frame, names: Collection[str]) -> Frame:
-        """Fill in states without a history, as `of_log` does; one of `names` that is no column is missing in all."""
+        """Fill in states without a history like `of_log`; any of `names` without a column is missing in all states."""
         columns: dict[str, Any] = {}
         for name, fill in self.fills.items():
             if name in names or name + FLAG in names:
@@ -125,17 +124,16 @@ class Filling:
         Parameters
         ----------
         state
-            Covariates by name; None or NaN, or no entry, where one is missing.
+            Covariates by name; a missing one is None, NaN or absent.
         names
-            Covariates that are looked at.
+            Covariates that the decision uses.
         last
-            Covariates of the stage before in the same trajectory, filled in; None where there is none.
+            Covariates of the stage before in the same trajectory, filled in; None if there is none.
 
         Returns
         -------
         dict, dict
-            The state, with columns that tell what was missing; and by covariate that was missing, in one sentence, what
-            stands for it.
+            The state, with flags of what was missing; and for each missing covariate, a sentence about its fill value.
         """
         full, said = dict(state), {}
         for name, fill in self.fills.items():
@@ -151,14 +149,14 @@ class Filling:
                 shown = f"{value:.6g}" if isinstance(value, int | float) else repr(value)
                 said[name] = f"{name} is missing, and {shown}, {source}, stands for it"
             elif fill.is_number and isinstance(state[name], bool):
-                # Beside a median, truth values are numbers.
+                # If the fill value is a median, convert truth values to numbers.
                 full[name] = float(state[name])
             if fill.has_flag:
                 full[name + FLAG] = int(is_null or bool(full.get(name + FLAG)))
         return full, said
 
     def lines(self) -> list[str]:
-        """Say of each covariate that was missing how often, and what stands for it."""
+        """Report for each covariate with missing values how often it was missing, and how it is filled in."""
         return [
             f"{name} is missing in {share_of(fill.num_missing, self.num_stages)}; {fill.stands} for it"
             for name, fill in self.fills.items()
@@ -167,21 +165,21 @@ class Filling:
 
 
 Missing: TypeAlias = str | Mapping[str, str | Fill] | Filling | None
-"""A rule for all covariates, rules or fills by covariate (``"*"`` for all others), or what was learned from a log."""
+"""A rule for all covariates, rules or fills by covariate (``"*"`` for all others), or a fitted filling."""
 
 
 def is_flag(name: str, names: Collection[str]) -> bool:
-    """Whether a column says where one of these was missing."""
+    """Whether a column is the missing flag of one of these."""
     return name.endswith(FLAG) and name.removesuffix(FLAG) in names
 
 
 def share_of(num_missing: int, num_stages: int) -> str:
-    """Write how many stages lack a covariate: 12 of 400 stages (3 %)."""
+    """Format the number of stages without a covariate: 12 of 400 stages (3 %)."""
     return f"{num_missing:,} of {num_stages:,} stages ({100.0 * num_missing / num_stages:.2g} %)"
 
 
 def remedy_of(name: str) -> str:
-    """Say what to do where a covariate is null."""
+    """The remedy for nulls in a covariate."""
     return (
         f"fill it in by --missing {name}={MEDIAN} (Python: missing={{{name!r}: {MEDIAN!r}}}), or by the rule {LAST}, "
         f"or leave column {name!r} of stages out"
@@ -189,18 +187,18 @@ def remedy_of(name: str) -> str:
 
 
 def missing_in(stages: Frame, covariates: Collection[str]) -> dict[str, int]:
-    """Count the stages that lack each covariate, where any does."""
+    """Count the stages without each covariate; only covariates with nulls are returned."""
     counts: Any = stages[list(covariates)].isna().sum()
     return {str(name): int(count) for name, count in counts.items() if count}
 
 
 def rules_of(missing: Missing) -> dict[str, str | Fill]:
-    """Take rules by column, ``"*"`` for all others; columns of which nothing is said are left out.
+    """Normalise to rules by column, ``"*"`` for all others; columns without a rule are left out.
 
     Raises
     ------
     ArgumentError
-        One is no rule.
+        A rule is unknown.
     """
     if missing is None:
         return {}
@@ -218,29 +216,29 @@ def rules_of(missing: Missing) -> dict[str, str | Fill]:
 
 
 Column: TypeAlias = Callable[[str], Iterable[Any]]
-"""Gives the values of a column of the stages, in parts."""
+"""Returns the values of a column of the stages, in parts."""
 
 
 def learned_filling(missing: Missing, covariates: Collection[str], column: Column, num_stages: int) -> Filling | None:
-    """Learn from a log what stands for its covariates; None where all nulls are refused.
+    """Fit the fill values of the covariates to a log; None if all nulls are refused.
 
     Parameters
     ----------
     missing
-        Rules; of a `Filling` nothing is learned.
+        Rules; a `Filling` is returned unchanged.
     covariates
-        Names of the stages' covariates.
+        Names of the covariates of the stages.
     column
-        Gives their values.
+        Returns their values.
     num_stages
-        Stages of the log.
+        Number of stages of the log.
 
     Raises
     ------
     ArgumentError
-        One is no rule, or of no covariate.
+        A rule is unknown, or names no covariate.
     LogError
-        A covariate is null in every stage, or a rule is of one that holds neither numbers nor text.
+        A covariate is null in every stage, or has a rule but holds neither numbers nor text.
     """
     if isinstance(missing, Filling):
         return missing
@@ -265,7 +263,7 @@ def learned_filling(missing: Missing, covariates: Collection[str], column: Colum
 
 
 def _learned(name: str, rule: Any, parts: Iterable[Any], flags: Iterable[Any] | None) -> Fill | None:
-    """Learn what stands for a column; None where it holds neither numbers nor text."""
+    """Fit the fill value of a column; None if it holds neither numbers nor text."""
     numbers, num_rows, num_missing, is_text = [], 0, 0, False
     flagged = repeat(None) if flags is None else iter(flags)
     for values in parts:
@@ -284,23 +282,23 @@ def _learned(name: str, rule: Any, parts: Iterable[Any], flags: Iterable[Any] | 
         )
     if is_text:
         return Fill(rule, CATEGORY if num_missing else None, num_missing)
-    # What is larger, or infinite, is refused later.
+    # Larger or infinite values are refused later.
     median = float(np.median(np.clip(np.concatenate(numbers), -_LARGEST, _LARGEST)))
     return Fill(rule, median, num_missing, has_flag=rule == MEDIAN and (num_missing > 0 or flags is not None))
 
 
 def _said(flags: Any) -> Any:
-    """Where a column says that another was missing; nowhere if there is none."""
+    """Where a flag column marks another as missing; False if there is none."""
     return False if flags is None else flags.to_numpy(dtype=bool)
 
 
 def _is_flag(values: Any) -> bool:
-    """Whether a column tells by 0 or 1, as a log that was filled in before does."""
+    """Whether a column holds only 0 and 1, as in a log that was filled in before."""
     return all(value in (0, 1) for value in values.unique().tolist())
 
 
 def _filled(frame: Frame, name: str, fill: Fill, trajectory: Any) -> dict[str, Any]:
-    """A column that is filled in, with its flag; nothing where it is as it should be."""
+    """The filled-in column and its flag; empty if nothing changes."""
     import pandas as pd
 
     values: Any = frame[name]
@@ -326,7 +324,7 @@ def _filled(frame: Frame, name: str, fill: Fill, trajectory: Any) -> dict[str, A
 
 
 def _kind(values: Any) -> str | None:
-    """What a column holds: number, text or null alone; None for anything else."""
+    """Content of a column: number, text, or null if all are null; None for anything else."""
     from pandas.api.types import infer_dtype, is_numeric_dtype
 
     if is_numeric_dtype(values.dtype):
@@ -337,7 +335,7 @@ def _kind(values: Any) -> str | None:
 
 
 def _numbers(values: Any) -> np.ndarray:
-    """Numbers and truth values, NaN where null."""
+    """Numbers and truth values as float64, null as NaN."""
     from pandas.api.types import is_numeric_dtype
 
     plain = values if is_numeric_dtype(values.dtype) else values.astype("boolean")

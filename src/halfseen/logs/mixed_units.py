@@ -1,6 +1,6 @@
 """Checks for mixed units within a log: milliseconds among seconds, or a covariate in two units.
 
-The sign is a gap: two groups of trajectories, far apart, with nothing in between; or one trajectory a thousand times
+The sign is a gap: two groups of trajectories far apart, with none in between; or a single trajectory a thousand times
 as large as all others.
 """
 

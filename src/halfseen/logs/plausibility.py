@@ -5,13 +5,13 @@ For any policy, given everything known before a stage
     E[1{A = a} / p]  =  P(a has a chance there)  ≤  1,
 
 so in any group of stages that is defined before the action, the sum of 1/p over the stages that took a cannot clearly
-exceed the size of the group. And where the likeliest action has probability p > ½, another one is taken 1 − p of the
-time: for the stages that took the likeliest, about Σ (1 − p)/p others must have an action of probability below ½.
+exceed the size of the group. If the likeliest action has probability p > ½, another one is taken with probability
+1 − p: for the stages that took the likeliest, about Σ (1 − p)/p others must have an action of probability below ½.
 
 Regress the reward on the other covariates, the action, and the covariate's own value in the stage before. A covariate
 recorded after the stage explains most of the remaining variance: it repeats the outcome. A covariate known before may
 do so, too, if rewards have little noise. But the outcome depends on the action, and covariates known before do not:
-the mean of 1{A = a} / p is the same whatever their value. A covariate is reported only if both tests fail; in a log
+the mean of 1{A = a} / p is the same for all their values. A covariate is reported only if both tests fail; in a log
 without probabilities, it must explain more.
 
 The end of a task has a visible cause: the action that ends it, its reward, or the number of stages. If stages of one
@@ -58,7 +58,7 @@ def excess_p(inverse: Rows, group: RowIds, num_groups: int, sizes: Float[np.ndar
     num_groups
         Number of groups G.
     sizes
-        Number of stages in each group, whatever their action.
+        Number of stages in each group, with any action.
     """
     total = np.bincount(group, inverse, num_groups)
     spread = np.bincount(group, inverse * (inverse - 1.0), num_groups)

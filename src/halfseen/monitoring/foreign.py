@@ -1,7 +1,7 @@
 """Categories and actions that the policy in service does not know, or did not choose, in words.
 
-In a state with a category that the training log never showed, the policy steps back. No model covers such a state, so
-it is not compared with one. The frequency of the category is watched like that of any other.
+In a state with a category that is not in the training log, the policy steps back. No model covers such a state, so it
+is not compared with one. The frequency of the category is monitored like that of any other.
 
 In a log of the service, the policy's own action has the largest probability. So an action with a probability above one
 half is the policy's own, unless the rule took it in the policy's place. A log in which most actions are not the
@@ -22,8 +22,8 @@ from halfseen.shapes import Bool
 from halfseen.wording import counted
 
 HALF = 0.5
-"""Probability above which an action was hardly drawn to explore; and share of other such actions above which a log is
-not the policy's."""
+"""Probability above which an action is hardly exploration; and share of such actions that are not the policy's above
+which the log is not the policy's."""
 ERRORS = 3.0
 """Number of standard errors by which that share must exceed `HALF`."""
 
@@ -40,7 +40,7 @@ def in_known_categories(looks_at: Covariates, logs: Logs) -> Logs:
 
 
 def unknown_actions(policy: Any, logs: Logs) -> tuple[str, ...]:
-    """Name each action that the policy does not have, and how often it was taken."""
+    """Describe each action that the policy does not have, and how often it was taken."""
     counts: Any = logs.stages["action"].value_counts()
     others = {action: int(count) for action, count in counts.items() if count and action not in policy.actions}
     return tuple(_not_known(shown(action), count, int(counts.sum()), policy) for action, count in others.items())
@@ -105,7 +105,7 @@ def not_its_own(policy: Any, looks_at: Covariates, logs: Logs, is_of_policy: Boo
 
 
 def unknown_categories(looks_at: Covariates, logs: Logs) -> tuple[str, ...]:
-    """Name each category that the training log never showed, and how often it occurs."""
+    """Describe each category that is not in the training log, and how often it occurs."""
     found = []
     for name in looks_at.columns:
         if name not in looks_at.categories:

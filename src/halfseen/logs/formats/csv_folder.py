@@ -3,23 +3,23 @@
 ::
 
     FOLDER/
-      stages.csv     one row a stage
-      trajectories.csv      one row a trajectory
-      objects.csv    where the stages have objects
-      columns.json   the type of each column and, if somebody said, the unit of rewards; may be missing, or name only
-                     some of the columns
+      stages.csv         one row per stage
+      trajectories.csv   one row per trajectory
+      objects.csv        if the stages have objects
+      columns.json       the type of each column and, if known, the unit of rewards; may be missing, or name only some
+                         of the columns
 
-The files are UTF-8 with commas, and the first row names the columns. An empty cell is null; an empty text stands in
-quotes. Lists are JSON (``[0.1, 0.2]``), times ISO 8601. Columns that ``columns.json`` does not name are read by these
-rules, in this order:
+The files are UTF-8 with commas, and the first row names the columns. An empty cell is null; an empty string is quoted.
+Lists are JSON (``[0.1, 0.2]``), times ISO 8601. The types of columns that ``columns.json`` does not name follow from
+these rules, in this order:
 
 1. ``stage`` holds whole numbers; ``elapsed_s``, ``reward``, ``probability`` and ``end_s`` hold numbers; ``ending``
    and ``cause`` hold text.
-2. A column whose every cell is a whole number holds whole numbers; but names such as ``007`` are text.
+2. If every cell is a whole number, the column holds whole numbers; but names such as ``007`` are text.
 3. Every cell a number: numbers. Every cell ``true`` or ``false``: booleans. Every cell a JSON list: lists. Names of
    trajectories, actions and objects are never any of these.
-4. Else it holds text; but a column of covariates that begins with a number and goes on with text is refused, since
-   that is more often a slip than a name. To keep it as text, say ``"string"`` in ``columns.json``.
+4. Otherwise it holds text; but a covariate whose first cell is a number and a later one text is refused, since that is
+   more often a slip than a name. To keep it as text, give ``"string"`` in ``columns.json``.
 """
 
 import csv
@@ -55,14 +55,14 @@ _SHAPES = {"int64": _INTEGER, "double": _NUMBER, "bool": r"true|false"}
 
 
 def write_csv(logs: Logs, folder: str | Path) -> None:
-    """Write logs as CSV files, all or nothing; `read_csv` gives them back to the last bit.
+    """Write logs as CSV files, all or nothing; `read_csv` restores them to the last bit.
 
     Raises
     ------
     ArgumentError
-        Something is there already, or the folder cannot be written.
+        The path exists already, or cannot be written.
     LogError
-        A column holds what has no form as text, such as records or bytes, or its name is not one line.
+        A column holds values without a text form, such as records or bytes, or its name is not one line.
     """
     refuse_lost(logs, CSV)
     types = column_types(logs.tables)
@@ -81,15 +81,15 @@ def read_csv(folder: str | Path, *, missing: Missing = None) -> Logs:
     Parameters
     ----------
     folder
-        Holds ``stages.csv``, ``trajectories.csv`` and, where the stages have objects, ``objects.csv``.
+        Holds ``stages.csv``, ``trajectories.csv`` and, if the stages have objects, ``objects.csv``.
     missing
-        What stands for covariates of the stages that are null, as `Logs` takes it.
+        How to fill in null covariates of the stages, as in `Logs`.
 
     Raises
     ------
     LogError
-        A file is missing or broken, a cell is of another type than its column (the file, the row, counted from 1
-        with the heading, and the column are named), or the tables break an invariant.
+        A file is missing or broken, a cell has another type than its column (the message names the file, the row,
+        counted from 1 with the heading, and the column), or the tables break an invariant.
     """
     folder = Path(folder)
     if (folder / "paths.csv").exists():
@@ -102,7 +102,7 @@ def read_csv(folder: str | Path, *, missing: Missing = None) -> Logs:
 
 
 class Manifest(msgspec.Struct):
-    """What stands in ``columns.json``."""
+    """Content of ``columns.json``."""
 
     format: Literal["halfseen-csv"]
     version: Literal[2]
@@ -163,8 +163,8 @@ def _read_cells(file: Path) -> pa.Table:
 
 
 def read_cells(source: Any, convert: arrow_csv.ConvertOptions) -> pa.Table:
-    """Read a table of CSV; only an empty cell without quotes is null."""
-    # With threads, errors do not tell the row.
+    """Read a CSV table; only an empty cell without quotes is null."""
+    # With threads, errors do not name the row.
     lines = arrow_csv.ParseOptions(newlines_in_values=True)
     return arrow_csv.read_csv(source, arrow_csv.ReadOptions(use_threads=False), lines, convert)
 

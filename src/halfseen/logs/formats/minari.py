@@ -1,23 +1,23 @@
-"""Logs as Minari's episodes and back: every step is a completed stage, and what steps cannot carry goes along as JSON.
+"""Logs to and from Minari: each step is a completed stage; data that steps cannot hold are stored as JSON.
 
 ==================  ==================================================================================================
 Minari              Logs
 ==================  ==================================================================================================
 observations[t-1]   numeric covariates of stage t, as float64. The last is S of the stage in which the trajectory
-                    was cut; after a finished trajectory, where nothing was recorded, it repeats the last stage
+                    was cut; for a finished trajectory, which has none, it repeats the last stage
 actions[t-1]        index of the action of stage t among the dataset's actions
 rewards[t-1]        reward of stage t
 terminations[-1]    the trajectory finished
 truncations[-1]     the trajectory was cut, in the stage of the last observation
 infos elapsed_s     clock at each observation [s]: 0, then the end of each completed stage
-infos stage         JSON: the row of the stage, and those of the objects that stood there
+infos stage         JSON: the row of the stage, and those of its objects
 episode metadata    JSON: the row of the trajectory
 dataset metadata    names of the actions and of the observation's columns, types of all columns, the unit of rewards,
-                    and the trajectories that were cut in their first stage: they have no step, so that Minari has no
+                    and the trajectories that were cut in their first stage: they have no step, so Minari has no
                     episode for them
 ==================  ==================================================================================================
 
-Minari itself writes and reads. The rows are what `read_minari` makes the log of; their cells are text, as in CSV.
+Minari itself writes and reads the dataset. `read_minari` builds the log from the rows; their cells are text, as in CSV.
 """
 
 import json
@@ -45,7 +45,7 @@ from halfseen.writing import placed
 Cells: TypeAlias = dict[str, str | None]
 """Cells of one row, as text."""
 Note: TypeAlias = dict[str, Any]
-"""The row of a ``trajectory``, and the rows (``cells``) of its ``stages``, each with those of its ``objects``."""
+"""The row of a ``trajectory``, and the rows (``cells``) of its ``stages``, each with the rows of its ``objects``."""
 
 KEY = "halfseen"
 VERSION = 2
@@ -55,7 +55,7 @@ _LARGEST_EXACT = 2**53
 
 
 def seen_by_halfseen_alone(logs: Logs) -> list[str]:
-    """Name what Minari keeps only as notes that no other program reads."""
+    """Columns that Minari stores only as notes, which no other program reads."""
     carried = {"stages": {*_IN_STEPS, *_observed(logs)}, "trajectories": {"trajectory", "ending", "end_s"}}
     notes = [
         f"{table}.{column}"
@@ -67,7 +67,7 @@ def seen_by_halfseen_alone(logs: Logs) -> list[str]:
 
 
 def _observed(logs: Logs) -> list[str]:
-    """The covariates of the observation: those whose numbers float64 carries to the last bit."""
+    """The covariates of the observation: those that float64 represents exactly."""
     return [name for name in logs.stage_covariates if _is_exact(logs.stages[name])]
 
 
@@ -79,26 +79,26 @@ def _is_exact(values: Any) -> bool:
 
 
 def write_minari(logs: Logs, dataset_id: str) -> None:
-    """Write logs as a Minari dataset into Minari's own folder, all or nothing; `read_minari` gives them back exactly.
+    """Write logs as a Minari dataset into Minari's own folder, all or nothing; `read_minari` restores them exactly.
 
-    Observations are the numeric covariates of the stages, or the stage's number where there are none; actions are
+    Observations are the numeric covariates of the stages, or the stage number if there are none; actions are
     indices into the dataset's actions; terminated means finished, truncated means cut.
 
     Parameters
     ----------
     logs
-        What to write. Where their stages have objects, these go along as JSON in the infos, since their number
-        varies and an observation's length does not.
+        Logs to write. Objects of stages are stored as JSON in the infos, since their number varies and the length
+        of an observation does not.
     dataset_id
-        Name of the dataset, ``(namespace/)name-v0``; Minari keeps it under ``MINARI_DATASETS_PATH``, by default
+        Name of the dataset, ``(namespace/)name-v0``; Minari stores it under ``MINARI_DATASETS_PATH``, by default
         ``~/.minari/datasets``.
 
     Raises
     ------
     ArgumentError
-        Minari is not installed, the name is no name, or it is taken.
+        Minari is not installed, or the name is invalid or taken.
     LogError
-        No stage was completed, or a column has no form as text.
+        No stage was completed, or a column has no text form.
     """
     minari, spaces = extra("minari", "minari"), extra("gymnasium.spaces", "minari")
     h5py = extra("h5py", "minari")
@@ -116,7 +116,7 @@ def write_minari(logs: Logs, dataset_id: str) -> None:
     metadata = {"version": VERSION, "actions": actions, "observations": observed, "types": types}
     metadata |= {"reward_unit": logs.reward_unit, "without_steps": without}
     with placed(target) as fresh, _datasets_in(fresh), _written_at_once(h5py), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # Minari misses an author, a licence and an environment
+        warnings.simplefilter("ignore")  # about a missing author, licence and environment
         dataset = minari.create_dataset_from_buffers(
             dataset_id,
             [_buffer(minari, note, steps) for note, steps in episodes],
@@ -133,7 +133,7 @@ def _notes(logs: Logs, types: dict[str, dict[str, ColumnType]]) -> list[Note]:
     """The rows of each trajectory, as text."""
     stages: list[Note] = [{"cells": cells} for cells in _rows(logs.stages, types["stages"])]
     if logs.objects is not None:
-        # All are sorted alike, and every stage has objects.
+        # Both tables have the same order, and every stage has objects.
         stage_row = logs.objects.groupby(["trajectory", "stage"], sort=False).ngroup()
         for row, cells in zip(stage_row, _rows(logs.objects, types["objects"]), strict=True):
             stages[row].setdefault("objects", []).append(cells)
@@ -150,17 +150,17 @@ def _rows(table: pd.DataFrame, types: dict[str, ColumnType]) -> list[Cells]:
 
 
 def _begins(logs: Logs) -> list[int]:
-    """Rows of stages in which trajectories begin, and their number."""
+    """First row of each trajectory in the stages, and the number of rows."""
     return [*np.flatnonzero(logs.stages["stage"] == 1).tolist(), logs.num_stages]
 
 
 def _steps(logs: Logs, observed: list[str], actions: list[int]) -> Iterator[dict[str, np.ndarray]]:
-    """Observations, actions, rewards and clock of each trajectory of T completed stages: T steps."""
+    """Observations, actions, rewards and clock of each trajectory: T completed stages give T steps."""
     seen = logs.stages[observed].to_numpy(dtype=np.float64)
     elapsed_s, rewards = logs.stages["elapsed_s"].to_numpy(), logs.stages["reward"].to_numpy()
     for begin, end in pairwise(_begins(logs)):
         num_steps = int(np.count_nonzero(~np.isnan(elapsed_s[begin:end])))
-        # After a finished trajectory nothing was seen.
+        # A finished trajectory has no observation after its last stage.
         rows = np.minimum(np.arange(begin, begin + num_steps + 1), end - 1)
         yield {
             "observations": seen[rows] if observed else np.arange(1.0, num_steps + 2)[:, None],
@@ -185,34 +185,34 @@ def _buffer(minari: Any, note: Note, steps: dict[str, np.ndarray]) -> Any:
 
 
 def read_minari(dataset: Any, *, clock: str | None = None, step_s: float | None = None, truncated: str = CUT) -> Logs:
-    """Read a Minari dataset that `write_minari` or anybody else wrote.
+    """Read a Minari dataset from `write_minari` or another program.
 
     Parameters
     ----------
     dataset
-        A ``minari.MinariDataset``, the name of one, or the folder of one.
+        A ``minari.MinariDataset``, or the name or folder of one.
     clock
-        Only for datasets of others: the info that holds the time of each observation [s], one more than there are
-        steps, or of each step's end.
+        Only for datasets of other programs: the info with the time of each observation [s], one more than there are
+        steps, or of the end of each step.
     step_s
-        Only for datasets of others, without `clock`: how long a step lasts [s]; 1 s, with a warning, if neither is
-        given.
+        Only for datasets of other programs, without `clock`: duration of a step [s]; 1 s, with a warning, if neither
+        is given.
     truncated
-        Only for datasets of others: "cut" or "finished" (at its horizon), what an episode is that was only truncated.
+        Only for datasets of other programs: ending of an episode that was only truncated, "cut" or "finished" (at its
+        horizon).
 
     Returns
     -------
     Logs
-        Of another's dataset: ``obs_0``, ``obs_1``, … hold the observation that each action was taken on. An episode
-        that terminated finished, also where it was truncated in the same step; one that was only truncated was cut
-        (cause ``truncated``) in the stage of its last observation, unless `truncated` says otherwise, and so was one
-        that just stops (cause ``unknown``).
+        For a dataset of another program, ``obs_0``, ``obs_1``, … hold the observation before each action. An episode
+        that terminated finished, even if it was truncated in the same step. An episode that was only truncated was cut
+        (cause ``truncated``) in the stage of its last observation, unless `truncated` is "finished". An episode that
+        just stops was cut there, too (cause ``unknown``).
 
     Raises
     ------
     ArgumentError
-        Minari is not installed, there is no such dataset, or its actions or observations are of a kind that stages
-        cannot hold.
+        Minari is not installed, there is no such dataset, or stages cannot hold its kind of actions or observations.
     LogError
         The dataset is broken.
     """
@@ -255,7 +255,7 @@ def _read_own(dataset: Any, metadata: dict[str, Any]) -> Logs:
 
 
 def _note(episode: Any, trajectory: Cells, metadata: dict[str, Any]) -> Note:
-    """The rows of an episode, which must be those of its steps."""
+    """The rows of an episode, which must agree with its steps."""
     stages = [json.loads(stage) for stage in episode.infos["stage"]]
     done = [stage["cells"] for stage in stages[: len(episode.actions)]]
     steps = [metadata["actions"][index] for index in episode.actions], np.asarray(episode.rewards).tolist()
@@ -305,7 +305,7 @@ def _target(dataset_id: str) -> Path:
 
 @contextmanager
 def _datasets_in(folder: Path) -> Iterator[None]:
-    """Let Minari keep its datasets elsewhere; it asks the environment."""
+    """Make Minari store its datasets in `folder`, by its environment variable."""
     before = os.environ.get(_ROOT)
     os.environ[_ROOT] = str(folder)
     try:
@@ -316,7 +316,7 @@ def _datasets_in(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def _written_at_once(h5py: Any) -> Iterator[None]:
-    """Let HDF5 write into memory, and write that as it closes; where a disk is full, HDF5 brings the process down."""
+    """Make HDF5 write to memory, and write the file on closing: on a full disk, HDF5 would crash the process."""
 
     class InMemory(h5py.File):
         def __init__(self, name: Any, mode: str = "r", **given: Any) -> None:

@@ -12,7 +12,7 @@ have one comma."""
 
 
 def refuse(place: str, trouble: str) -> NoReturn:
-    """Refuse a table for a quote in it (`LogError`)."""
+    """Refuse a table with a stray quote (`LogError`)."""
     raise LogError(f"{place}: {trouble}")
 
 

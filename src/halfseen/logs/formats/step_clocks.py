@@ -1,8 +1,8 @@
 """End times of steps in datasets of other programs.
 
 Times count from the beginning of an episode. The times of T + 1 observations include that beginning. The end times of
-T steps do not: such a clock either starts at 0 in each episode, or runs on across episodes, and each begins when the
-one before ended.
+T steps do not: such a clock either starts at 0 in each episode, or runs on across episodes, each of which begins when
+the one before ended.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from halfseen.shapes import Float, Int
 MOST_FIRST = 3.0
 """Largest ratio of a first step with unknown beginning to the longest other step."""
 LONGEST_S = 1e6
-"""Longer steps in whole numbers are in another unit: this is 12 days [s], and 1 ms in nanoseconds."""
+"""Longer steps in whole numbers are not in seconds: this is 12 days in seconds, but 1 ms in nanoseconds."""
 
 
 def even_ends(begins: Int[np.ndarray, " E1"], step_s: float) -> Float[np.ndarray, " M"]:
@@ -81,7 +81,7 @@ def refuse_counts(place: str, ends_s: Float[np.ndarray, " M"], num_steps: Int[np
     lasted_s = np.diff(ends_s, prepend=0.0)
     lasted_s[first] = ends_s[first]
     middle_s = float(np.median(lasted_s))
-    # The last step of an episode may have its length from the rate of the dataset.
+    # The length of the last step of an episode may come from the rate of the dataset.
     if middle_s >= LONGEST_S and np.mean(ends_s == np.floor(ends_s)) >= 0.5:
         raise LogError(
             f"{place}: steps last {middle_s:.4g} s by its clock, in whole numbers, as if it counted nanoseconds or "

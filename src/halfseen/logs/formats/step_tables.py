@@ -1,9 +1,9 @@
-"""Step tables like those of RLDS, as Parquet, CSV or Arrow: one row a step, its fields as columns.
+"""Step tables like those of RLDS, as Parquet, CSV or Arrow: one row per step, its fields as columns.
 
-A row has ``observation`` (or what begins so: structs are taken apart), ``action``, ``reward``, ``is_first``,
-``is_last`` and ``is_terminal``. Episodes are told apart by a column ``episode_id``, ``episode_index`` or ``episode``,
-or begin where ``is_first`` is true. In the last row of an episode nothing was done any more: its action and reward say
-nothing, and are not read. An episode whose last row is not ``is_last`` broke off.
+A row has ``observation`` (or columns with this prefix: structs are flattened), ``action``, ``reward``, ``is_first``,
+``is_last`` and ``is_terminal``. A column ``episode_id``, ``episode_index`` or ``episode`` identifies episodes; without
+one, they begin where ``is_first`` is true. A row with ``is_last`` comes after the last action: its action and reward
+have no meaning and are not read. An episode whose last row is not ``is_last`` broke off.
 """
 
 import mmap
@@ -34,7 +34,7 @@ EPISODES = ("episode_id", "episode_index", "episode")
 FIRST, LAST, TERMINAL = "is_first", "is_last", "is_terminal"
 TABLE_FILES = (".parquet", ".csv", ".arrow", ".feather")
 _COMPRESSED = re.compile(rb"\x28\xb5\x2f\xfd|\x04\x22\x4d\x18", re.DOTALL)
-"""How a buffer begins that Arrow packed, by zstd or lz4; eight bytes before say how large it is unpacked."""
+"""First bytes of an Arrow buffer compressed by zstd or lz4; the eight bytes before are its uncompressed size."""
 
 
 def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None = None) -> Logs:
@@ -43,21 +43,21 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
     Parameters
     ----------
     files
-        A ``.parquet``, ``.csv``, ``.arrow`` or ``.feather`` file, or several that follow one another.
+        A ``.parquet``, ``.csv``, ``.arrow`` or ``.feather`` file, or several in order.
     rules
-        Which columns hold the action (default: ``action``), the reward (``reward``), whether the episode reached its
-        own end (``is_terminal``) and the time of each row (by default every step counts as 1 s, with a warning); and
-        what becomes of an episode that did not.
+        Columns of the action (default: ``action``), the reward (``reward``), whether the episode reached its own end
+        (``is_terminal``) and the time of each row (default: every step counts as 1 s, with a warning); and the ending
+        of an episode that did not reach its own.
 
     Returns
     -------
     Logs
-        Each episode a trajectory, each step a stage. A cut falls into the stage of the last row.
+        One trajectory per episode, one stage per step. A cut falls into the stage of the last row.
 
     Raises
     ------
     ArgumentError
-        A column is not there, or the actions are not finitely many.
+        A column is missing, or the actions are not finitely many.
     LogError
         A file is missing or broken, the flags contradict one another, or the log breaks an invariant.
     """
@@ -98,7 +98,7 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
 
 
 def _episodes(steps: StepColumns, label: str | None) -> tuple[list[int | str], Int[np.ndarray, " E1"]]:
-    """Names of the episodes, the rows in which they begin, and the number of rows."""
+    """Names of the episodes; their first rows, followed by the number of rows."""
     place, is_first = steps.place, steps.flags(FIRST) if FIRST in steps.columns else np.zeros(0, dtype=bool)
     if label is None:
         if len(is_first) and not is_first[0]:
@@ -120,7 +120,7 @@ def _episodes(steps: StepColumns, label: str | None) -> tuple[list[int | str], I
 
 
 def _remedy_of_acting_ends(done: str) -> str:
-    """What reads a table whose endings stand in the rows that act."""
+    """The remedy for a table that has its endings in the rows of actions."""
     ending = f'finished = {{field = "{done}"}} and cut = {{field = "{LAST}"}}'
     return (
         f"if the ending stands in the row of the last action, read the table by a mapping with {ending} in [ending], "
@@ -131,7 +131,7 @@ def _remedy_of_acting_ends(done: str) -> str:
 def _refuse_without_step(
     place: str, names: Sequence[int | str], begins: Int[np.ndarray, " E1"], is_step: Bool[np.ndarray, " N"], remedy: str
 ) -> None:
-    """Refuse an episode of one row in which nothing was done any more (`LogError`)."""
+    """Refuse an episode whose only row has no action (`LogError`)."""
     is_without = (np.diff(begins) == 1) & ~is_step[begins[:-1]]
     if is_without.any():
         name, num_episodes = shown(names[int(np.argmax(is_without))]), int(is_without.sum())
@@ -158,12 +158,12 @@ def _warn_of_unread(
 
 
 def read_tables(files: Sequence[Path], columns: Iterable[str] | None = None) -> pa.Table:
-    """Read Parquet, CSV or Arrow files of one table, one below the other; of Parquet, some columns or all (None).
+    """Concatenate Parquet, CSV or Arrow files of one table; from Parquet, read only `columns`, or all if None.
 
     Raises
     ------
     LogError
-        A file is missing, broken, too large, or has other columns than the first; or there is no row in any.
+        A file is missing, broken, too large, or has other columns than the first; or no file has a row.
     """
     wanted = None if columns is None else list(columns)
     tables = [_read(file, wanted) for file in files]
@@ -181,14 +181,14 @@ def read_tables(files: Sequence[Path], columns: Iterable[str] | None = None) -> 
 
 
 def as_array(place: str, table: pa.Table, name: str) -> Shaped[np.ndarray, "N ..."]:
-    """Bring a column into an array with a row a step; lists of one length become further axes.
+    """Convert a column to an array with one row per step; lists of equal length become further axes.
 
     Null is NaN among numbers and None among text.
 
     Raises
     ------
     LogError
-        Lists differ in length, one is missing, or the column is of a type that no array holds.
+        Lists differ in length, a list is null, or no array can hold the type of the column.
     """
     try:
         return _array(place, name, table[name].combine_chunks())
@@ -199,7 +199,7 @@ def as_array(place: str, table: pa.Table, name: str) -> Shaped[np.ndarray, "N ..
 
 
 def whole_table(file: Path) -> Any:
-    """Refuse a file that is no whole table."""
+    """Refuse a file that is not a complete table."""
     missing = "it is missing; copy the whole dataset again"
     return refused(file, "it is no whole table", "mend it, or copy or export it again", missing)
 
@@ -232,7 +232,7 @@ def _csv(file: Path) -> pa.Table:
 def _arrow(file: Path) -> pa.Table:
     num_bytes = check_file(file, TABLE)
     with file.open("rb") as held, mmap.mmap(held.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        # What packed buffers say that they take unpacked [B].
+        # Declared uncompressed sizes of compressed buffers [B].
         found = [match.start() for match in _COMPRESSED.finditer(content) if match.start() >= 8]
         sizes = [struct.unpack_from("<q", content, start - 8)[0] for start in found if start % 8 == 0]
         check_unpacked(num_bytes, sum(size for size in sizes if size > 0))
@@ -247,7 +247,7 @@ def _arrow(file: Path) -> pa.Table:
 
 
 def _flattened(place: str, table: pa.Table) -> pa.Table:
-    """Take structs apart into columns of their own, named ``outer.inner``."""
+    """Split structs into columns named ``outer.inner``."""
     for _ in range(MOST_LEVELS):
         if not any(pa.types.is_struct(kind) for kind in table.schema.types):
             break

@@ -1,11 +1,10 @@
-"""Steps of other people's datasets as stages: what was seen before each action, and how the last step ended.
+"""Steps of other programs' datasets as stages.
 
-A step is a stage: what was observed, the action that was taken on it, what it earned, and when it ended. Where a
-dataset also has what was observed after the last step, a cut falls into the stage of that observation; where it has
-not, into the last step itself, whose reward is passed over, as a stage that was not completed has none.
+A step becomes a stage: the observation, the action taken on it, its reward, and its end time. If a dataset has an
+observation after the last step, a cut falls into the stage of that observation. If not, it falls into the last step
+itself, and the reward of that step is ignored, since a stage that was not completed has none.
 
-Columns have one row a step. What is observed may be whole arrays, of which columns are made; all else is one value a
-step.
+Columns have one row per step. Observations may be arrays, which are split into columns; all else is one value per step.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,7 +24,7 @@ from halfseen.shapes import Bool, Float, Int, Shaped
 
 TRUNCATED = "truncated"
 MOST_NUMBERS = 1000
-"""Of one observation; what has more is an image or the like, of which no columns are made."""
+"""Maximum size of an observation that becomes columns; larger ones are images or the like."""
 Ending = tuple[str, str | None]
 """Ending and cause, as in `trajectories` of `Logs`."""
 _WORDS = {"true": 1.0, "false": 0.0}
@@ -34,25 +33,25 @@ _MEANT = {"reward": "a number", "done": "true or false", "clock": "a time [s]"}
 
 @dataclass(frozen=True)
 class StepRules:
-    """How to read another's dataset; None leaves it to what the format usually has.
+    """How to read a dataset of another program; None is the default of its format.
 
     Parameters
     ----------
     action, reward
-        Columns that hold the action, one of finitely many, and what it earned.
+        Columns of the action, one of finitely many, and of its reward.
     done
         Column that is true where an episode reached its own end.
     clock
         Column that holds the time [s].
     step_s
-        How long a step lasts [s], where there is no clock.
+        Duration of a step [s] if there is no clock.
     truncated
-        "cut" or "finished" (at its horizon): what an episode is that did not terminate.
+        Ending of an episode that did not terminate: "cut", or "finished" (at its horizon).
 
     Raises
     ------
     ArgumentError
-        A step takes no time, both `clock` and `step_s` are given, or `truncated` is neither.
+        `step_s` is not finite and positive, both `clock` and `step_s` are given, or `truncated` is neither.
     """
 
     action: str | None = None
@@ -72,14 +71,14 @@ class StepRules:
 
     @property
     def named(self) -> dict[str, str]:
-        """The columns that are named, by what they hold."""
+        """The named columns, by role."""
         roles = ("action", "reward", "done", "clock")
         return {role: getattr(self, role) for role in roles if getattr(self, role) is not None}
 
     def endings(
         self, is_finished: Iterable[Any], is_truncated: Iterable[Any], otherwise: Ending = (CUT, UNKNOWN_CAUSE)
     ) -> list[Ending]:
-        """Ending and cause of each episode, which reached its own end, or was truncated, or ended otherwise."""
+        """Ending and cause of each episode: it reached its own end, was truncated, or ended otherwise."""
         truncated = (FINISHED, None) if self.truncated == FINISHED else (CUT, TRUNCATED)
         return [
             (FINISHED, None) if finished else truncated if stopped else otherwise
@@ -87,7 +86,7 @@ class StepRules:
         ]
 
     def step_in(self, place: str) -> float:
-        """How long a step lasts without a clock [s]; 1 s, with a warning, where nobody says."""
+        """Duration of a step without a clock [s]; 1 s, with a warning, if it is not given."""
         if self.clock is None and self.step_s is None:
             warn(
                 place,
@@ -98,13 +97,13 @@ class StepRules:
 
 @dataclass(frozen=True)
 class StepColumns:
-    """What a dataset holds, by name, one row a step; `place` names the dataset in messages."""
+    """Columns of a dataset by name, one row per step; `place` names the dataset in messages."""
 
     place: str
     columns: Mapping[str, Shaped[np.ndarray, "N ..."]]
 
     def numbers(self, name: str, role: str = "clock") -> Float[np.ndarray, " N"]:
-        """Rewards, flags or times, one number each step; true counts 1, and anything else is refused."""
+        """Rewards, flags or times, one number per step; true counts as 1, other types are refused."""
         values, flat = self.columns[name], self._flat(name)
         if flat.ndim != 1 or flat.dtype.kind not in "biuf":
             raise ArgumentError(
@@ -114,7 +113,7 @@ class StepColumns:
         return flat.astype(np.float64)
 
     def flags(self, name: str) -> Bool[np.ndarray, " N"]:
-        """True and false; 1 and 0 are such, and the words as text, and anything else is refused."""
+        """Truth values, also given as 1 and 0 or as text; anything else is refused."""
         flat = self._flat(name)
         is_text = flat.ndim == 1 and flat.dtype == object
         numbers = _numbers_of_words(flat) if is_text else self.numbers(name, "done")
@@ -125,7 +124,7 @@ class StepColumns:
         return numbers.astype(bool)
 
     def actions(self, name: str, rows: Bool[np.ndarray, " N"] | slice = slice(None)) -> Shaped[np.ndarray, " M"]:
-        """Actions of some rows, each one of finitely many: whole numbers (null as None) or text."""
+        """Actions of the given rows, each one of finitely many: whole numbers (null as None) or text."""
         values, flat = self.columns[name], self._flat(name)[rows]
         if flat.ndim == 1 and flat.dtype.kind in "biu":
             return self._whole_numbers(name, flat)
@@ -143,9 +142,9 @@ class StepColumns:
         )
 
     def observed(self, names: Iterable[str]) -> dict[str, Shaped[np.ndarray, " N"]]:
-        """Columns of observations; what is neither numbers nor text, or too long, is passed over with a warning.
+        """Columns of observations; those that are too long, or neither numbers nor text, are left out with a warning.
 
-        Two observations that make the same column are refused (`LogError`).
+        Two observations that give the same column are refused (`LogError`).
         """
         observed: dict[str, np.ndarray] = {}
         passed_over = []
@@ -176,30 +175,30 @@ class StepColumns:
 
 @dataclass(frozen=True)
 class StepTable:
-    """Episodes of a dataset, one below the other, in N rows: a step each, or what was observed after the last one."""
+    """Episodes of a dataset, one below the other, in N rows: steps, or observations after the last step."""
 
     names: Sequence[int | str]
-    """Of the E trajectories."""
+    """Names of the E trajectories."""
     begins: Int[np.ndarray, " E1"]
-    """Rows in which episodes begin, and the number of rows, shape (E + 1,)."""
+    """First row of each episode, and the number of rows, shape (E + 1,)."""
     is_step: Bool[np.ndarray, " N"]
-    """Rows in which something was done: all but, perhaps, the last of an episode, shape (N,)."""
+    """Rows with an action: all except, perhaps, the last of an episode, shape (N,)."""
     observed: Mapping[str, Shaped[np.ndarray, " N"]]
     actions: Shaped[np.ndarray, " M"]
-    """Of the M steps: whole numbers or text, shape (M,)."""
+    """Actions of the M steps: whole numbers or text, shape (M,)."""
     rewards: Float[np.ndarray, " M"]
-    """What each step earned, shape (M,)."""
+    """Reward of each step, shape (M,)."""
     ends_s: Float[np.ndarray, " M"]
-    """Time from the beginning of its episode to the end of each step [s], shape (M,)."""
+    """End of each step since its episode began [s], shape (M,)."""
     endings: Sequence[Ending]
 
     def logs(self, place: str) -> Logs:
-        """Make a trajectory of each episode; `place` names the dataset in messages.
+        """Convert each episode to a trajectory; `place` names the dataset in messages.
 
         Raises
         ------
         LogError
-            There is no episode, one has no step, or the log breaks an invariant.
+            There is no episode, an episode has no step, or the log breaks an invariant.
         """
         if not self.names:
             raise LogError(f"{place}: it has no episodes; a log has at least one trajectory")
@@ -219,7 +218,7 @@ class StepTable:
             return Logs(self._stages(np.array([ending == CUT for ending in ends["ending"]])), pd.DataFrame(ends))
 
     def _stages(self, is_cut: Bool[np.ndarray, " E"]) -> Any:
-        """A cut falls into the last row of its episode, whose reward is passed over."""
+        """Build the stages; a cut falls into the last row of its episode, and the reward of that row is ignored."""
         last, sizes = self.begins[1:] - 1, np.diff(self.begins)
         episode = np.repeat(np.arange(len(sizes)), sizes)
         is_stage, is_completed = self.is_step.copy(), self.is_step.copy()
@@ -247,7 +246,7 @@ def begins_of(place: str, rows: str, labels: Shaped[np.ndarray, " N"], remedy: s
     Raises
     ------
     LogError
-        Rows of one episode do not stand together.
+        The rows of an episode are not contiguous.
     """
     at = np.flatnonzero(np.append(True, labels[1:] != labels[:-1])[: len(labels)])
     found = labels[at].tolist()
@@ -258,7 +257,7 @@ def begins_of(place: str, rows: str, labels: Shaped[np.ndarray, " N"], remedy: s
 
 
 def refuse_early(place: str, names: Sequence[int | str], begins: Any, ends: Bool[np.ndarray, " N"]) -> None:
-    """Refuse an episode that ends before its last row (`LogError`); `begins` are as in `StepTable`."""
+    """Refuse an episode that ends before its last row (`LogError`); `begins` as in `StepTable`."""
     for name, (begin, end) in zip(names, pairwise(begins.tolist()), strict=True):
         if ends[begin : end - 1].any():
             raise LogError(
@@ -268,7 +267,7 @@ def refuse_early(place: str, names: Sequence[int | str], begins: Any, ends: Bool
 
 
 def columns_of(name: str, values: Shaped[np.ndarray, "N ..."]) -> dict[str, Shaped[np.ndarray, " N"]]:
-    """Take an array with a row a step apart into columns: NAME, or NAME_0, NAME_1, … where it has more than one."""
+    """Split an array with one row per step into columns: NAME, or NAME_0, NAME_1, … if it has further axes."""
     if values.ndim == 1:
         return {name: values}
     flat = values.reshape(len(values), prod(values.shape[1:]))
@@ -276,7 +275,7 @@ def columns_of(name: str, values: Shaped[np.ndarray, "N ..."]) -> dict[str, Shap
 
 
 def require(place: str, names: Iterable[str], wanted: Mapping[str, str], remedy: str | None = None) -> None:
-    """Refuse a dataset that lacks a column of those that are wanted, by role (`ArgumentError`)."""
+    """Refuse a dataset that lacks a wanted column (`ArgumentError`); `wanted` maps roles to columns."""
     there = list(names)
     for role, name in wanted.items():
         if name not in there:
@@ -287,10 +286,10 @@ def require(place: str, names: Iterable[str], wanted: Mapping[str, str], remedy:
 
 
 def _numbers_of_words(values: np.ndarray) -> Float[np.ndarray, " N"]:
-    """Truth values among text and null; NaN where there is none."""
+    """Truth values of text as 1 and 0; NaN for null and other text."""
     return np.array([_WORDS.get(str(value).lower(), np.nan) for value in values], dtype=np.float64)
 
 
 def _is_strange(values: np.ndarray) -> bool:
-    """Whether objects are anything but text and null."""
+    """Whether an array holds objects other than text and null."""
     return values.dtype == object and not all(value is None or isinstance(value, str) for value in values.flat)

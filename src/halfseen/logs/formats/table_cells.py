@@ -1,7 +1,7 @@
 """Cells of any table as text, with the line of each row.
 
-Read down: bytes → text (encoding) → cells (separator), or typed columns → the same cells. What text means is read in
-`halfseen.logs.formats.table_values`.
+In order: bytes → text (encoding) → cells (separator), or typed columns → the same cells.
+`halfseen.logs.formats.table_values` interprets the text.
 """
 
 import csv
@@ -32,27 +32,27 @@ ROWS_LOOKED_AT = 50
 
 @dataclass(frozen=True)
 class Cells:
-    """A table of text; an empty cell is an empty text."""
+    """A table of text; an empty cell is an empty string."""
 
     file: str
     columns: dict[str, list[str]]
     rows: Sequence[int | str]
-    """Number of each row in its file, from 1; of several files behind the name of its own."""
+    """Number of each row in its file, from 1; with several files, preceded by the name of the file."""
     layout: Layout
     word: str = "line"
-    """What rows are called: line, or row where a file has no lines; file, of several."""
+    """Word for a row in messages: line, row if the file has no lines, or file if there are several."""
 
     def place(self, row: int, column: str | None = None) -> str:
-        """Name a row, or a cell."""
+        """Name a row or a cell."""
         return f"{self.file}, {self.word} {self.rows[row]}" + ("" if column is None else f", column {column!r}")
 
     def refuse(self, row: int, column: str, trouble: str) -> NoReturn:
-        """Refuse a cell, with its place and its value."""
+        """Raise a `LogError` for a cell, with its place and value."""
         raise LogError(f"{self.place(row, column)}: {shown(self.columns[column][row])} {trouble}")
 
 
 def is_event_table(file: Path, is_mapped: bool) -> bool:
-    """Whether a file is to be read by a mapping: it is a table, and one is given, or it is none of steps."""
+    """Whether to read a file by a mapping: it is a table, and a mapping is given or it is not a step table."""
     if is_mapped or file.suffix not in (".csv", *TYPED_FILES):
         return file.suffix in (*TEXT_FILES, *TYPED_FILES, *SHEETS)
     try:
@@ -65,14 +65,14 @@ def is_event_table(file: Path, is_mapped: bool) -> bool:
 
 
 def read_cells(file: Path, layout: Layout) -> Cells:
-    """Read a file of text, or Parquet.
+    """Read a text or Parquet file.
 
     Raises
     ------
     ArgumentError
-        It is of another kind.
+        It is another kind of file.
     LogError
-        It is missing or broken, a row has another number of cells than the heading, or the layout is not to be found.
+        It is missing or broken, a row and the heading differ in their number of cells, or the layout is not found.
     """
     refuse_workbook(file)
     if file.suffix in TYPED_FILES:
@@ -88,18 +88,18 @@ def read_cells(file: Path, layout: Layout) -> Cells:
 
 
 def refuse_workbook(file: Path) -> None:
-    """Refuse the files of spreadsheets (`ArgumentError`)."""
+    """Refuse spreadsheet files (`ArgumentError`)."""
     if file.suffix in SHEETS:
         raise ArgumentError(f"{file}: workbooks are not read; save the sheet as CSV UTF-8, and convert that file")
 
 
 def cells_of(place: str, table: pa.Table) -> Cells:
-    """Write the columns of an Arrow table as text: times as ISO 8601, null as an empty text.
+    """Convert the columns of an Arrow table to text: times as ISO 8601, null as an empty string.
 
     Raises
     ------
     LogError
-        A column is of a type that has no text, or there is no row.
+        The type of a column has no text form, or there is no row.
     """
     columns = {}
     for name, column in zip(table.column_names, table.columns, strict=True):
@@ -113,7 +113,7 @@ def cells_of(place: str, table: pa.Table) -> Cells:
 
 
 def _decoded(file: Path, content: bytes, encoding: str | None) -> tuple[str, str]:
-    """Decode text; of what nobody names, by its mark of the byte order, else UTF-8 or, if it is none, Windows' own."""
+    """Decode text; without a given encoding, by its byte order mark, else as UTF-8, else as Windows-1252."""
     is_wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
     found = ["utf-16"] if is_wide else ["utf-8-sig"] if content[:3] == b"\xef\xbb\xbf" else ["utf-8", "cp1252"]
     names = found if encoding is None else ["utf-8-sig" if encoding == "utf-8" else encoding]
@@ -163,7 +163,7 @@ def _split(file: Path, text: str, layout: Layout) -> Cells:
 
 
 def _trimmed(cells: list[str], least: int) -> list[str]:
-    """Leave out empty cells behind the last that a row needs."""
+    """Drop trailing empty cells, but keep at least `least` cells."""
     end = len(cells)
     while end > least and not cells[end - 1]:
         end -= 1
@@ -180,7 +180,7 @@ def _checked(cells: Cells, names: list[str]) -> Cells:
 
 
 def _separator(file: Path, text: str) -> str:
-    """Find what separates cells: what gives the first rows most cells, and equally many."""
+    """Find the separator: prefer one that gives all first rows equally many cells, then the one that gives most."""
     sample = "".join(islice(io.StringIO(text, newline=""), ROWS_LOOKED_AT))
     found: dict[str, tuple[bool, int]] = {}
     for separator in SEPARATORS:
@@ -195,7 +195,7 @@ def _separator(file: Path, text: str) -> str:
 
 
 def heading_of(file: Path) -> int:
-    """The line that looks like a heading: the first with as many cells as most of the first lines, or one less."""
+    """Line of the probable heading: the first with as many cells as most of the first lines, or one fewer."""
     with opened(file, TABLE) as held:
         text, _ = _decoded(file, held.read(), None)
     lines = text.splitlines()[:ROWS_LOOKED_AT]
@@ -209,7 +209,7 @@ def heading_of(file: Path) -> int:
 
 
 def check_column(cells: Cells, name: str, asked_by: str) -> None:
-    """Refuse a name of no column (`ArgumentError`); `asked_by` is the place in the mapping that names it."""
+    """Refuse the name of a missing column (`ArgumentError`); `asked_by` is the place in the mapping that names it."""
     if name not in cells.columns:
         there = ", ".join(map(repr, list(cells.columns)[:20]))
         ending = did_you_mean(name, cells.columns) or "; name one of them"
