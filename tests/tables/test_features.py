@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from fitted_laws import FITTED
+from halfseen.learning import CensoredQLearner
 from halfseen.learning.rows import q_values
+from halfseen.planners import GreedyPolicy
 from halfseen.policies.history import present_state
-from halfseen.tables import LinearTablePolicy
+from halfseen.tables import BetaGrasp, LinearTablePolicy, TableTask
 from halfseen.tables.features import (
     NUM_FEATURES,
     NUM_TABLE_FEATURES,
@@ -24,7 +26,7 @@ from halfseen.tables.grasp_table import GraspTable
 from halfseen.tables.present import first_state
 from halfseen.world import ActionSpace, ExploringPolicy, Scene, TableWorld, UniformPolicy, Verb, WorldConfig, random
 from halfseen.world.actions import WAIT, possible_actions, wait_of, worthwhile_actions
-from halfseen.world.rollout import play
+from halfseen.world.rollout import evaluate, play
 from halfseen.world.state import occlusion, occlusion_by, pad_scenes
 from picked import picked
 from played_teams import NUM_OBJECTS, WashWhatIsDirty, played, team_of
@@ -220,3 +222,21 @@ def test_the_present_takes_grips_from_the_cloud_and_what_was_seen_from_the_log()
             np.testing.assert_array_equal(now.seen, there["seen"].to_numpy(dtype=np.float32))
             return
     raise AssertionError("no trajectory was cut in a LIFT")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("grasp", [None, BetaGrasp()], ids=["succession", "beta"])
+def test_a_policy_is_learned_where_grips_show_and_errors_persist(grasp):
+    rng = np.random.default_rng(0)
+    scenes = [
+        Scene(np.tril(rng.uniform(0.0, 0.5, (4, 4)), -1), name=f"table {k}", grip=rng.normal(0.0, 1.5, 4))
+        for k in range(6)
+    ]
+    heuristic = GreedyPolicy(FITTED, uses_history=True, counts_penalty=True)
+    logs = TableWorld(FITTED).simulate(scenes, ExploringPolicy(heuristic, 0.5), episodes=400, seed=0, cut_share=0.3)
+    learner = CensoredQLearner(10, TableTask(grasp)).fit(logs)
+    rules = learner.policy_, UniformPolicy(), ExploringPolicy(heuristic, 0.5)
+    learned, by_lot, logging = (
+        float(evaluate(FITTED, pad_scenes(scenes), rule, random.key_of(1), 2_000).reward.mean()) for rule in rules
+    )
+    assert learned > logging > by_lot
