@@ -285,3 +285,8 @@ def test_few_trajectories_earn_what_the_log_does_and_more_than_q_alone():
     found = np.array([worth(policy) for policy in policies])
     alone = np.array([worth(replace(policy, behaviour_weight=0.0)) for policy in policies])
     assert found.mean() > max(own, alone.mean())
+
+
+def test_without_pessimism_there_is_nothing_to_waive():
+    learner = CensoredQLearner(1, ["A", "B"], ["x"], pessimism=0.0).fit(logs_of(True))
+    assert learner.policy_.behaviour is None

@@ -135,3 +135,39 @@ def test_a_policy_asked_in_some_states_is_valued_right_on_average(asked, most):
     assert policy(max_states=10**6) == pytest.approx(exact, abs=1e-12)
     assert np.mean(lots) == pytest.approx(exact, abs=float(4 * np.std(lots) / np.sqrt(30)))
     assert 0.0 < np.std(lots) < most
+
+
+@pytest.mark.parametrize("order", [[2, 0, 1], [1, 0, 2]])
+@pytest.mark.slow
+def test_names_of_cups_do_not_matter_to_optimum_and_bound(states, order):
+    config = replace(CONFIG, horizon=4)
+    plain, renamed = (solve_table(hides, config, num_grip_nodes=3) for hides in (THREE, THREE[np.ix_(order, order)]))
+    of_action = [0, *(1 + np.array(order)), *(4 + np.array(order))]
+
+    assert renamed.value == pytest.approx(plain.value, abs=1e-10)
+    assert renamed.num_states == plain.num_states
+    other = permuted(states, order)
+    for k in range(len(states.steps_to_go)):
+        q, q_renamed = (optimum.q_values(picked(of, k)) for optimum, of in ((plain, states), (renamed, other)))
+        np.testing.assert_allclose(q_renamed, q[of_action], atol=1e-9)
+    for reveals in ("looks", "hidden"):
+        bounds = [
+            information_relaxation_bound(hides, config, num_grip_nodes=3, reveals=reveals)
+            for hides in (THREE, THREE[np.ix_(order, order)])
+        ]
+        assert bounds[0].standard_error == bounds[1].standard_error == 0.0
+        assert bounds[0].value == pytest.approx(bounds[1].value, abs=1e-10)
+
+
+@pytest.mark.slow
+def test_names_of_cups_do_not_matter_to_what_a_plan_with_chance_is_worth():
+    """Draws differ with the names, so values agree within their noise."""
+    config = replace(CONFIG, horizon=3)
+    optima = [solve_table(hides, config) for hides in (THREE, THREE[::-1, ::-1])]
+    values = np.array(
+        [[one.policy_value(POMDPPolicy(config, 2, 32), random.key_of(k)) for k in range(6)] for one in optima]
+    )
+
+    error = np.hypot(*(values.std(axis=1, ddof=1) / np.sqrt(6)))
+    assert values[0].mean() == pytest.approx(values[1].mean(), abs=float(4 * error))
+    assert error < 0.05

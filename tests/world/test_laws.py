@@ -306,3 +306,15 @@ def test_one_look_is_not_counted_ten_times(played):
         if among.sum() > 200:
             error = 4.0 * 0.5 / np.sqrt(among.sum())
             assert is_dirty[among].mean() == pytest.approx(believed[among].mean(), abs=error)
+
+
+@pytest.mark.slow
+def test_drawn_labels_say_dirty_as_often_as_the_law_says():
+    layout = picked(pad_scenes([THREE]), 0)
+    keys = random.keys_of(random.key_of(0), 100_000)
+    state, hidden = start(FITTED, repeated(layout, len(keys)), keys)
+    says_dirty, is_dirty = state.seen == 1.0, hidden.is_dirty
+    for cup, positive in enumerate(np.transpose(SEEING.positive(THREE.occlusion, 0.0))):
+        for is_true, expected in zip((True, False), positive, strict=True):
+            drawn = says_dirty[is_dirty[:, cup] == is_true, cup]
+            assert drawn.mean() == pytest.approx(expected, abs=4.0 * 0.5 / np.sqrt(len(drawn)))

@@ -5,7 +5,7 @@ import pytest
 
 from halfseen.cell.facts import tables_seen
 from halfseen.errors import ArgumentError, HalfseenWarning, PolicyError, SceneError
-from halfseen.planners import GreedyPolicy, ReservingPolicy
+from halfseen.planners import GreedyPolicy, ReservingPolicy, TeamOfRules
 from halfseen.tables import IndependentPolicies, LinearTeamPolicy
 from halfseen.world import ExploringPolicy, Robot, Scene, TableWorld, Team, UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import play
@@ -147,3 +147,14 @@ def test_what_nobody_reaches_is_paid_for_as_left():
     assert (parks_at_once & is_dirty[:, 1] & ~is_dirty[:, 0]).any()
     price = short.config.reward_dirty_left * is_dirty.sum(axis=1)
     np.testing.assert_allclose(np.asarray(played.reward)[parks_at_once, 0], price[parks_at_once])
+
+
+@pytest.mark.slow
+def test_a_team_of_one_that_reaches_all_simulates_what_one_robot_does():
+    rule = GreedyPolicy(WorldConfig(), uses_history=True, counts_penalty=True)
+    mine = TableWorld(robots=[Robot((0.0, -0.5), 5.0)]).simulate(SCENES, TeamOfRules(rule), 30, seed=3, cut_share=0.4)
+    theirs = TableWorld().simulate(SCENES, rule, 30, seed=3, cut_share=0.4)
+    assert mine.trajectories.equals(theirs.trajectories)
+    for name in ("stages", "objects"):
+        truth = theirs.tables[name]
+        assert mine.tables[name][truth.columns].equals(truth)
