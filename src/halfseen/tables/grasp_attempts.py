@@ -1,8 +1,4 @@
-"""Attempts to grasp in the log of a table, for any number of robots, including cut attempts.
-
-Also the input checks of fits to attempts (tables in, float64 and bool out, bad values named), and cross-validation
-folds.
-"""
+"""Attempts to grasp in the log of a table, cut ones included; input checks of fits to them; cross-validation folds."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
