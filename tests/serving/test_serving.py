@@ -65,6 +65,7 @@ def test_it_says_what_act_says(asked, flat, tmp_path):
         (b"{", 400, "no JSON"),
         (b"[" * 100_000, 400, "no JSON"),
         (b'{"x1": NaN, "x2": 1}', 400, "NaN is no number of JSON"),
+        (b'{"x1": 0, "x2": 1, "x1": 2}', 400, "'x1' is given twice"),
         (b"\xff", 400, "no JSON"),
         (b"[1]", 422, "JSON list; send one object"),
         (b"{}", 422, "there is no 'x1' among nothing"),
@@ -75,6 +76,7 @@ def test_it_says_what_act_says(asked, flat, tmp_path):
         (b'{"x1": 1e999, "x2": 1}', 400, "1e999 is no number of JSON"),
         (b'{"x1": 1' + b"0" * 400 + b', "x2": 1}', 400, "is no whole number of 64 bits"),
         (b'{"x1": 0, "x2": 1, "stage": 0}', 422, "stage is 0; it is a whole number from 1"),
+        (b'{"x1": 0, "x2": 1, "stage": 10001}', 422, "stage is 10001; it is a whole number from 1 to 10,000"),
         (b'{"x1": 0, "x2": 1, "stage": true}', 422, "stage is True"),
         (b'{"x1": 0, "x2": 1, "stage": "1"}', 422, "stage is 1"),
         (b'{"x1": 0, "x2": 1, "stage": null}', 422, "stage is None"),
@@ -130,7 +132,7 @@ def test_what_is_decided_becomes_a_log_with_probabilities(flat, tmp_path):
         rng = np.random.default_rng(3)
         for trajectory in range(24):
             for stage in (1, 2):
-                state = {"x1": float(rng.normal()), "x2": int(rng.integers(3)), "seen_by": "left"}
+                state = {"x1": float(rng.normal()), "x2": int(rng.integers(3)), "seen_by": "left", "objects": 3}
                 told = client.post("/decide", json=state).json()
                 assert (told["trajectory"], told["stage"]) == (trajectory + 1, stage)
                 taken.append((told["action"], told["probability"]))
@@ -147,6 +149,8 @@ def test_what_is_decided_becomes_a_log_with_probabilities(flat, tmp_path):
     np.testing.assert_array_equal(logs.stages["reward"], np.where(is_seen.ravel(), rewards, np.nan))
     assert list(zip(logs.stages["action"], logs.stages["probability"], strict=True)) == taken
     assert set(logs.stages["seen_by"]) == {"left"}
+    # Only a table has objects of its own.
+    assert set(logs.stages["objects"]) == {3}
     assert (logs.num_trajectories, int(logs.is_finished.sum())) == (24, 18)
     assert set(logs.stages["probability"].round(9)) == {0.8, 0.2}
     assert 2 <= sum(p < 0.5 for _, p in taken) <= 20
@@ -169,7 +173,8 @@ def test_an_end_says_which(flat, tmp_path):
     with client_of(flat, tmp_path / "logs") as client:
         client.post("/decide", json=SEEN)
         unclear = ({}, {"ending": "done"}, {"ending": "cut"}, {"ending": "finished", "cause": "x"})
-        for end in (*unclear, {"ending": "cut", "why": 1}):
+        # A trajectory that goes on is not counted.
+        for end in (*unclear, {"ending": "cut", "why": 1}, {"ending": "cut", "cause": "still-running"}):
             refused(client.post("/end", json=end), 422)
             assert client.get("/health").json()["recording"]["trajectory"] == 1
 

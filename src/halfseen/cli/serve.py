@@ -44,7 +44,7 @@ class _ShareOrTable(click.ParamType):
         """Distinguish a table from a share by the file ending."""
         if str(value).lower().endswith(".csv"):
             return Path(value)
-        share: Any = click.FloatRange(0.0, 1.0, max_open=True)
+        share: Any = options.Real(0.0, 1.0, max_open=True)
         return share.convert(value, param, ctx)
 
 

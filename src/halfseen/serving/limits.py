@@ -15,6 +15,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
+from types import FrameType
 from typing import Any
 
 import uvicorn
@@ -241,6 +242,15 @@ def bound_socket(host: str, port: int) -> socket.socket:
         ) from error
 
 
+class _Server(uvicorn.Server):
+    """Ends in order, however often it is interrupted; uvicorn would leave the app and print a traceback."""
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Ignore all but the first signal."""
+        if not self.should_exit:
+            super().handle_exit(sig, frame)
+
+
 def serve(app: App, at: socket.socket, on_start: Callable[[], Any] | None = None) -> None:
     """Serve an app until it is interrupted; pending requests are answered first.
 
@@ -272,6 +282,6 @@ def serve(app: App, at: socket.socket, on_start: Callable[[], Any] | None = None
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with contextlib.suppress(KeyboardInterrupt):
-            uvicorn.Server(config).run(sockets=[at])
+            _Server(config).run(sockets=[at])
     finally:
         signal.signal(signal.SIGTERM, before)
