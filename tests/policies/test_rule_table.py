@@ -86,6 +86,18 @@ def test_texts_are_compared_as_texts_and_numbers_of_toml_as_numbers(tmp_path):
     assert (chosen_by(number, 1), chosen_by(number, 2)) == ([7] * 4, ["b"] * 4)
 
 
+def test_text_may_hold_the_word_and_or_look_like_a_number(tmp_path):
+    text = "task,part,action\nnuts and bolts,,A\n!= pick and place,007,B\n,!= 7,C\n,,D\n"
+    parts = pd.DataFrame(
+        {"task": ["nuts and bolts", "bolts", "pick and place", "bolts"], "part": ["7", "007", "007", "7"]}
+    )
+    rule = read_rule_table(written(tmp_path, text), horizon=1)
+    assert chosen_by(rule, 1, parts) == ["A", "B", "C", "D"]
+    assert [rule.action(dict(row), 1) for _, row in parts.iterrows()] == ["A", "B", "C", "D"]
+    with pytest.raises(ArgumentError, match="x is '> 1 and heavy', which is no condition"):
+        read_rule_table(written(tmp_path, "x,action\n> 1 and heavy,A\n,B\n"), horizon=1)
+
+
 @pytest.mark.parametrize(
     ("text", "name", "message"),
     [

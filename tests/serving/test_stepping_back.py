@@ -8,7 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from asking import client_of, decided, refused
+from click.testing import CliRunner
 
+from halfseen.cli.serve import serve
+from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, read_logs
 from halfseen.policies.folder import read_policy, write_policy
@@ -79,6 +82,20 @@ def test_a_rule_file_decides_and_where_it_cannot_the_usual_action_does(flat, tmp
     rule.write_text("action\nD\n")
     with pytest.raises(ValueError, match=r"rule\.csv: there is no action D; there are A, B, C"):
         Served(flat, rule=rule)
+    # Otherwise that row would fail in each state, and the usual action be taken.
+    rule.write_text("x1,action\nhigh,B\n,A\n")
+    with pytest.raises(ValueError, match=r"rule\.csv: row 1: x1 is 'high', and the policy knows numbers of it"):
+        Served(flat, rule=rule)
+
+
+def test_a_rule_that_asks_for_what_the_policy_does_not_is_told_of(flat, tmp_path):
+    (tmp_path / "rule.csv").write_text("x_1,action\n> 1,B\n,A\n")
+    # It is told before the address is found not to be of this machine.
+    words = [str(flat), "--fall-back", str(tmp_path / "rule.csv"), "--host", "192.0.2.1", "--token", "a" * 16]
+    told = CliRunner().invoke(serve, words)
+    assert "rule.csv: the rule asks for x_1, and the policy does not; where a request lacks it" in told.output
+    assert "did you mean 'x1'?" in told.output
+    assert isinstance(told.exception, ArgumentError)
 
 
 @pytest.mark.parametrize("failing", ["raises", "is no number"])

@@ -17,7 +17,7 @@ from halfseen.cli import options
 from halfseen.cli.inputs import give_mapping, law_of
 from halfseen.cli.messages import tell_warning
 from halfseen.cli.options import SHIPPED
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, did_you_mean
 
 if TYPE_CHECKING:
     from halfseen.logs import LogRecorder
@@ -177,6 +177,8 @@ def serve(
     served = Served(policy, **how, limit_s=time_limit)
     if served.service.fall_back is None:
         tell_warning(f"{NOBODY}; until then, what the policy does not decide is refused")
+    for file in filter(None, dict.fromkeys((fall_back, against))):
+        _warn_of_columns(served.service.stored, file)
     if served.service.stored.counts_views:
         served.law = law_of(law or SHIPPED)
     wire = None if controller is None or mapping is None else _wire(served, controller, mapping)
@@ -203,6 +205,17 @@ def serve(
                 watch.ended()
 
         answer(app_of(served, token, wire=wire), at, begun)
+
+
+def _warn_of_columns(stored: Any, file: Path) -> None:
+    from halfseen.policies.rule_files import rule_of
+
+    covariates = stored.policy.covariates
+    for name in (name for name in rule_of(stored, file).columns if name not in covariates):
+        tell_warning(
+            f"{file}: the rule asks for {name}, and the policy does not; where a request lacks it, the usual action of "
+            f"the log is taken instead of the rule's{did_you_mean(name, covariates)}"
+        )
 
 
 def _check_wire(controller: str | None, mapping: Path | None, record: Path | None) -> None:
