@@ -10,6 +10,7 @@ import pytest
 from asking import client_of, decided, refused
 from click.testing import CliRunner
 
+from halfseen.cli.evaluate import evaluate
 from halfseen.cli.serve import serve
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
@@ -165,6 +166,27 @@ def test_the_log_says_where_the_rule_decided_and_is_learned_from(flat, tmp_path)
     logs.write(tmp_path / "written")
     assert read_logs(tmp_path / "written").stages["stepped_back"].value_counts().to_dict() == counts
     CensoredQLearner(logs.horizon, ["A", "B", "C"], ["x1", "x2"], reg=0.1).fit(logs)
+
+
+def test_what_was_served_is_evaluated_with_the_rules_decisions(flat, tmp_path):
+    (tmp_path / "rule.csv").write_text("stage,action\n1,B\n,C\n")
+    rng, served = np.random.default_rng(1), {"rule": tmp_path / "rule.csv", "stays_within": True}
+    with client_of(flat, tmp_path / "logs", served=served) as client:
+        for _ in range(60):
+            for _ in range(2):
+                is_far = rng.random() < 0.3
+                told = decided(client, x1=float(rng.uniform(-1.0, 1.0)) + 9.0 * is_far, x2=int(rng.integers(3)))
+                assert ("stepped_back" in told) == is_far
+                client.post("/reward", json={"reward": float(rng.random()) + is_far * (told["action"] != "A")})
+            client.post("/end", json={"ending": "finished"})
+    stages = read_logs(tmp_path / "logs").stages
+    told = CliRunner().invoke(evaluate, [str(flat), "--logs", str(tmp_path / "logs"), "--json"], catch_exceptions=False)
+    report = json.loads(told.stdout)
+    # The policy and its rule made this log, so what they earned is what they are worth.
+    value = report["doubly_robust"]["value"]
+    assert value == pytest.approx(stages["reward"].sum() / 60)
+    num = int(stages["stepped_back"].notna().sum())
+    assert report["notes"][0].startswith(f"in {num} stages the state lies outside the policy's logs")
 
 
 def test_a_folder_of_before_refuses_what_it_did(flat, monkeypatch):

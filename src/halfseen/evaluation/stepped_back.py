@@ -1,11 +1,11 @@
-"""A policy whose rule decides in states with a category that is not in the policy's training log.
+"""A policy whose rule decides in states outside the policy's training log.
 
 In service the policy steps back in such states, and the log records it. The logged action is then what the policy and
-its rule would do again. Such a rare category has no coefficient of its own: models treat it as the most frequent
-category, and the importance weights correct the error.
+its rule would do again. A category that is not in the training log has no coefficient of its own: models treat it as
+the most frequent category, and the importance weights correct the error.
 """
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -72,11 +72,21 @@ class Served(NamedTuple):
     policy: Any
     logs: Logs
     notes: tuple[str, ...] = ()
-    """Which categories were replaced, and by which."""
+    """Where the rule decided, and which categories were replaced, and by which."""
 
 
-def with_its_rule(policy: Any, logs: Logs) -> Served:
-    """Combine a policy with the rule of its service; unchanged if the log has no category unknown to the policy.
+def with_its_rule(policy: Any, logs: Logs, is_outside: Callable[[Any], Bool[np.ndarray, " m"]] | None = None) -> Served:
+    """Combine a policy with the rule of its service; unchanged if the policy knows each state of the log.
+
+    Parameters
+    ----------
+    policy
+        The policy.
+    logs
+        The log.
+    is_outside
+        Whether each of some states lies outside the ranges of the policy's training log, as `StoredPolicy.is_outside`;
+        None if these are unknown.
 
     Raises
     ------
@@ -86,15 +96,24 @@ def with_its_rule(policy: Any, logs: Logs) -> Served:
     stages = logs.stages
     if not isinstance(policy, DiscretePolicy) or not set(policy.covariates) <= set(stages.columns):
         return Served(policy, logs)
-    is_new = ~policy.looks_at.knows(stages)
-    if not is_new.any():
+    is_new, is_by_rule = ~policy.looks_at.knows(stages), _is_by_rule(stages)
+    is_far = is_by_rule & ~is_new
+    if is_outside is None:
+        is_far[:] = False
+    else:
+        # Another policy may have stepped back where this one decides.
+        is_far[is_far] = is_outside(stages[is_far])
+    if not (is_new | is_far).any():
         return Served(policy, logs)
     # Refuse unknown categories from which the policy did not step back.
-    unexplained: Any = stages[is_new & ~_is_by_rule(stages)]
+    unexplained: Any = stages[is_new & ~is_by_rule]
     policy.looks_at.encode(unexplained)
-    by_rule: Any = stages[is_new]
+    by_rule: Any = stages[is_new | is_far]
     actions = tuple(dict.fromkeys([*policy.actions, *by_rule["action"].tolist()]))
     replaced, notes = _replaced(policy.categories, stages)
+    if is_far.any():
+        where = f"{is_far.sum()} {'stage' if is_far.sum() == 1 else 'stages'}"
+        notes = (*notes, f"in {where} the state lies outside the policy's logs: the rule decided in its place")
     known = Logs(replaced, logs.trajectories, logs.objects, reward_unit=logs.reward_unit, missing=logs.missing)
     return Served(WithItsRule(policy, actions, pd.MultiIndex.from_frame(by_rule[STAGE])), known, notes)
 

@@ -2,7 +2,7 @@
 
 import platform
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from typing import Any
 
@@ -145,9 +145,10 @@ def _judged(
 ) -> PolicyFindings:
     on_progress("evaluate")
     policy, spec = stored.policy, specification_of(stored, logs, **chosen)
-    evaluation = evaluate(policy, logs, censoring=spec.censoring, q=spec.q, is_hourly=True, **options)
     # What the policy does not know is not shown as anything else than its models take it for.
-    logs = with_its_rule(policy, logs).logs
+    served, logs, by_rule = with_its_rule(policy, logs, stored.is_outside)
+    evaluation = evaluate(served, logs, censoring=spec.censoring, q=spec.q, is_hourly=True, **options)
+    evaluation = replace(evaluation, notes=(*by_rule, *evaluation.notes))
     task = (spec.q and spec.q.task) or task_of(policy, logs)
     on_progress("look at the policy")
     decided = choices(stored, task, logs)
