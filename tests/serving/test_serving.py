@@ -363,6 +363,13 @@ def test_a_table_is_decided_from_a_cloud_as_act_does(tables):
         assert set(openapi) == {"application/json", "multipart/form-data"}
 
 
+@pytest.mark.parametrize("location", [[], ["TABLE", "TABLE"], 1, None, "SINK"])
+def test_a_place_that_is_none_is_refused_in_one_line(tables, objects, location):
+    with client_of(tables, of_tables=True) as client:
+        given = [{**one, "location": location} for one in objects]
+        assert "location" in refused(client.post("/decide", json={"objects": given}), 422)
+
+
 def test_a_table_as_a_log_has_it_is_decided_and_recorded(tables, objects, tmp_path):
     with client_of(tables, tmp_path / "logs") as client:
         told = client.post("/decide", json={"objects": objects}).json()
