@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from contextlib import asynccontextmanager, contextmanager
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -126,6 +127,14 @@ def test_values_come_with_doubts_and_go_with_types():
             assert [await nodes[name].read_value() for name in ("action", "decision")] == [8, 3]
             with pytest.raises(ArgumentError, match="action is 'B', and its variable takes Int32; give codes"):
                 controller.typed("action", "B")
+            with pytest.raises(
+                ArgumentError, match="action is 2147483648, and its variable takes Int32; give it a type"
+            ):
+                controller.typed("action", 2**31)
+            truth = replace(controller, types={"action": ua.VariantType.Boolean})
+            assert truth.typed("action", 1).Value == 1
+            with pytest.raises(ArgumentError, match="action is 2, and its variable takes Boolean; give it a type"):
+                truth.typed("action", 2)
 
     asyncio.run(main())
 
