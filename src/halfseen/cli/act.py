@@ -132,7 +132,7 @@ def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool) -> No
     """Write the policy in the folder POLICY as an ONNX model. Needs the extra onnx.
 
     Of named actions, it takes covariates, (n, features) in double precision, and the stage, from 1; it gives scores,
-    (n, actions), and the number of the best action.
+    (n, actions), and the number of the best action, from 0; −1 where a covariate is NaN.
 
     Of tables, it takes the fields of TableState as halfseen.world describes them, for a fixed number of objects; it
     gives scores, one for each action, and the number of the best.
