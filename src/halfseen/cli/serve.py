@@ -185,11 +185,12 @@ def serve(
     say = partial(print, flush=True)
     goes_on = record is not None and record.exists()
     kinds = {"is_of_tables": served.service.stored.is_table, "resumes": wire is not None}
+    watched: Any = (policy, record, monitor_every, say, served.service.digest)
     epsilon, table = (0.0, _table(served.service.stored, explore)) if isinstance(explore, Path) else (explore, None)
     with (
         bound_socket(host, port) as at,
         nullcontext() if record is None else RecordedTrajectories(record, **kinds) as trajectories,
-        nullcontext() if record is None or not monitor_every else Watch(policy, record, monitor_every, say) as watch,
+        nullcontext() if record is None or not monitor_every else Watch(*watched) as watch,
     ):
         rng, recent = np.random.default_rng(seed), Recent(watch)
         served.answering = Answering(epsilon, table, rng, trajectories, recent=recent)

@@ -205,6 +205,9 @@ class Served:
             if answering.comparison is not None and recording is not None:
                 to = partial(answering.comparison.of, fresh, is_in_progress=recording.facts.trajectory is not None)
                 self.answering = replace(answering, comparison=await to_thread.run_sync(to))
+            watch = answering.recent.watch
+            if watch is not None and recording is not None and fresh.digest != self.service.digest:
+                watch.anew(fresh.digest, recording.facts.trajectory)
             self.service = fresh
         return fresh
 
