@@ -91,10 +91,12 @@ def test_a_bad_request_gets_one_line_and_harms_no_other(asked, body, status, say
 
 def test_other_addresses_and_forms_are_refused(asked):
     text = {"content": b"{}", "headers": {"content-type": "text/plain"}}
+    packed = {"content": b"\x1f\x8b", "headers": {"content-type": "application/json", "content-encoding": "gzip"}}
     for answer, status, told in (
         (asked.get("/decisions"), 404, "nothing at this address"),
         (asked.get("/decide"), 405, "GET is not answered"),
         (asked.post("/decide", **text), 415, "content-type is 'text/plain'"),
+        (asked.post("/decide", **packed), 415, "content-encoding is 'gzip'; send it unpacked"),
         (asked.post("/decide", files={"cloud": ("t.pcd", b"no")}), 415, "not at clouds"),
         (asked.post("/reward", json={"reward": 1}), 409, "records nothing"),
         # A page of another site.
