@@ -59,6 +59,19 @@ def test_what_nobody_stepped_back_from_is_refused(policy):
         evaluate(policy, logs)
 
 
+def test_in_a_comparison_the_rules_arm_says_by_its_probability_that_the_policy_would_step_back_too(policy):
+    logs = cell(200, 1, policy.decide, [7, 90], has_reason=False)
+    dealt = logs.trajectories.assign(arm=np.where(np.arange(200) % 90 == 7, "rule", "policy"))
+    dealt.loc[90, "arm"] = "rule"
+    together, known, (note,) = with_its_rule(policy, Logs(logs.stages, dealt))
+    np.testing.assert_array_equal(together.probabilities(known.stages, 1)[[7, 90]], [[1.0, 0.0], [1.0, 0.0]])
+    assert note.startswith("in 2 stages colour is 'green'")
+    # Where both arms need not agree, nobody knows what the policy would do.
+    unsure = logs.stages.assign(probability=logs.stages["probability"].where(logs.stages["trajectory"] != 90, 0.4))
+    with pytest.raises(LogError, match="trajectory 90, stage 1: covariate 'colour' is 'green'"):
+        with_its_rule(policy, Logs(unsure, dealt))
+
+
 def test_a_log_of_known_states_stays_as_it_is(policy):
     logs = cell(60, 1, policy.decide)
     assert with_its_rule(policy, logs) == (policy, logs, ())

@@ -15,7 +15,7 @@ import pandas as pd
 from halfseen.learning.covariates import Categories
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.logs import Logs
-from halfseen.logs.columns import STEPPED_BACK
+from halfseen.logs.columns import ARM, RULE, STEPPED_BACK
 from halfseen.shapes import Bool, Float
 
 STAGE = ["trajectory", "stage"]
@@ -96,7 +96,7 @@ def with_its_rule(policy: Any, logs: Logs, is_outside: Callable[[Any], Bool[np.n
     stages = logs.stages
     if not isinstance(policy, DiscretePolicy) or not set(policy.covariates) <= set(stages.columns):
         return Served(policy, logs)
-    is_new, is_by_rule = ~policy.looks_at.knows(stages), _is_by_rule(stages)
+    is_new, is_by_rule = ~policy.looks_at.knows(stages), _is_by_rule(logs)
     is_far = is_by_rule & ~is_new
     if is_outside is None:
         is_far[:] = False
@@ -118,10 +118,20 @@ def with_its_rule(policy: Any, logs: Logs, is_outside: Callable[[Any], Bool[np.n
     return Served(WithItsRule(policy, actions, pd.MultiIndex.from_frame(by_rule[STAGE])), known, notes)
 
 
-def _is_by_rule(stages: Any) -> Bool[np.ndarray, " m"]:
-    if STEPPED_BACK not in stages.columns:
-        return np.zeros(len(stages), dtype=bool)
-    return (stages[STEPPED_BACK].notna() & stages["action"].notna()).to_numpy()
+def _is_by_rule(logs: Logs) -> Bool[np.ndarray, " m"]:
+    """Whether the policy stepped back; or would have, in a trajectory that a comparison dealt to the rule.
+
+    There, the log's probability is that of both arms together, so it is 1 where both take the action.
+    """
+    stages, trajectories = logs.stages, logs.trajectories
+    is_by_rule = np.zeros(len(stages), dtype=bool)
+    if STEPPED_BACK in stages.columns:
+        is_by_rule |= stages[STEPPED_BACK].notna().to_numpy()
+    if ARM in trajectories.columns and "probability" in stages.columns:
+        of_rule: Any = trajectories["trajectory"][trajectories[ARM].eq(RULE).fillna(False)]
+        is_sure = stages["trajectory"].isin(of_rule.tolist()) & stages["probability"].eq(1.0).fillna(False)
+        is_by_rule |= is_sure.to_numpy(dtype=bool)
+    return is_by_rule & stages["action"].notna().to_numpy()
 
 
 def _replaced(categories: Categories, stages: Any) -> tuple[Any, tuple[str, ...]]:

@@ -14,9 +14,7 @@ import numpy as np
 
 from halfseen.monitoring.comparison import Counted, Courses, Kept, bound, counted
 
-ARM = "arm"
-"""Column of a log's trajectories: the arm that each was dealt to."""
-POLICY, RULE = "policy", "rule"
+POLICY = "policy"
 PROMOTES, HARMS = 0.025, 0.05
 """Probabilities of promoting a policy that is no better, and of a loss beyond its bound."""
 LARGEST_SHARE = 0.5

@@ -17,10 +17,10 @@ from halfseen.learning.discrete_policy import NamedActionPolicy
 from halfseen.learning.rows import trajectory_arrays
 from halfseen.learning.task import Encoded
 from halfseen.logs import Logs
+from halfseen.logs.columns import ARM, RULE
 from halfseen.monitoring import betting
 from halfseen.monitoring.answer import MEND_FIRST, Finding, Monitored, num_needed, relearning
 from halfseen.monitoring.betting import pair_payoffs
-from halfseen.monitoring.dealing import ARM, RULE
 from halfseen.monitoring.diagnosis import (
     SWAPPED,
     ChangePoint,

@@ -19,10 +19,10 @@ import numpy as np
 from halfseen.errors import NothingRecordedError
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.logs import Logs, read_logs
-from halfseen.logs.columns import FINISHED
+from halfseen.logs.columns import ARM, FINISHED, RULE
 from halfseen.logs.recorded import STILL_RUNNING, followed
 from halfseen.monitoring.comparison import Courses, Kept, counted
-from halfseen.monitoring.dealing import ARM, POLICY, RULE, Standing, Terms, standing
+from halfseen.monitoring.dealing import POLICY, Standing, Terms, standing
 from halfseen.policies.rule_files import FallBack, fall_back_of
 from halfseen.reading import read_bytes
 from halfseen.serving.models import Compared

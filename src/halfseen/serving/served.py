@@ -15,7 +15,8 @@ import numpy as np
 from anyio import move_on_after, to_thread
 from msgspec import UNSET
 
-from halfseen.monitoring.dealing import POLICY, RULE
+from halfseen.logs.columns import RULE
+from halfseen.monitoring.dealing import POLICY
 from halfseen.policies.decision import Decision
 from halfseen.policies.rule_files import ExplorationTable
 from halfseen.serving.comparing import Comparison

@@ -22,9 +22,8 @@ from typing import Any
 from msgspec import UNSET
 
 from halfseen.errors import HalfseenError
-from halfseen.logs.columns import STEPPED_BACK
+from halfseen.logs.columns import ARM, STEPPED_BACK
 from halfseen.logs.recorded import followed
-from halfseen.monitoring.dealing import ARM
 from halfseen.serving.models import Decided, Recorded
 
 EVERY_S = 30.0
