@@ -146,6 +146,19 @@ def test_a_new_category_is_outside_the_logs(tmp_path):
         assert "'x1'" in refused(client.post("/decide", json={"colour": "mauve"}), 422)
 
 
+def test_a_category_that_comes_as_a_number_is_text_in_the_log(tmp_path):
+    logs = flat_log()
+    logs = Logs(logs.stages.assign(part=np.where(logs.stages["x1"] > 0, "4711", "12a")), logs.trajectories)
+    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "part"], reg=0.1)
+    write_policy(learner.fit(logs), logs, tmp_path / "policy")
+    with client_of(tmp_path / "policy", tmp_path / "logs") as client:
+        client.event_hooks = {}  # it is taken, but not described
+        for part in (4711, "12a", "4711", "new"):
+            decided(client, x1=0.1, part=part)
+            client.post("/reward", json={"reward": 1.0})
+    assert read_logs(tmp_path / "logs").stages["part"].tolist() == ["4711", "12a", "4711", "new"]
+
+
 def test_the_log_says_where_the_rule_decided_and_is_learned_from(flat, tmp_path):
     with client_of(flat, tmp_path / "logs", epsilon=0.3, served={"stays_within": True}) as client:
         rng = np.random.default_rng(0)

@@ -102,9 +102,11 @@ def seen_in_state(
     assert isinstance(decider, NamedDecider), "what is not of tables is of named actions"
     policy = decider.policy
     full, filled = completed(policy, covariates, last)
-    begun, texts = Begun(full), policy.categories.items()
+    texts = policy.categories.items()
     new = {name: given for name, of in texts if isinstance(given := full.get(name), str) and given not in of}
     known = known_covariates(policy, {**full, **{name: policy.categories[name][0] for name in new}}, BODY)
+    # A category may come as a number, and is text in the log.
+    begun = Begun({**full, **{name: at for name, at in known.items() if isinstance(at, str) and name not in new}})
     if new:
         return Seen(partial(_refuse_new, new), stage, begun)
     return Seen(lambda: decider.decide_known(known, stage, filled), stage, begun)
