@@ -51,18 +51,22 @@ class WithItsRule:
 
     @property
     def horizon(self) -> int:
-        """Number T of stages."""
-        return self.policy.horizon
+        """Number T of stages, with those that the rule decides alone."""
+        stages: Any = self.by_rule.get_level_values("stage")
+        return max(self.policy.horizon, int(stages.max()))
 
     @property
     def actions_by_stage(self) -> dict[int, list[Hashable]]:
         """Names of the actions that each stage allows, from 1."""
-        return self.policy.actions_by_stage
+        beyond = range(self.policy.horizon + 1, self.horizon + 1)
+        return {**self.policy.actions_by_stage, **{stage: list(self.actions) for stage in beyond}}
 
     def probabilities(self, frame: Any, stage: int) -> Float[np.ndarray, "m A"]:
         """π(a | S): 1 for the action that the policy takes or its rule took."""
-        is_by_rule = pd.MultiIndex.from_frame(frame[STAGE]).isin(self.by_rule)
-        taken = np.where(is_by_rule, frame["action"].to_numpy(dtype=object), self.policy.decide(frame, stage))
+        taken = frame["action"].to_numpy(dtype=object)
+        if stage <= self.policy.horizon:
+            is_by_rule = pd.MultiIndex.from_frame(frame[STAGE]).isin(self.by_rule)
+            taken = np.where(is_by_rule, taken, self.policy.decide(frame, stage))
         return (pd.Index(self.actions).get_indexer(taken)[:, None] == np.arange(len(self.actions))).astype(np.float64)
 
 
@@ -103,6 +107,8 @@ def with_its_rule(policy: Any, logs: Logs, is_outside: Callable[[Any], Bool[np.n
     else:
         # Another policy may have stepped back where this one decides.
         is_far[is_far] = is_outside(stages[is_far])
+    is_late = stages["stage"].to_numpy() > policy.horizon
+    is_far |= is_late & is_by_rule if is_by_rule[is_late].all() else is_late & False
     if not (is_new | is_far).any():
         return Served(policy, logs)
     # Refuse unknown categories from which the policy did not step back.
@@ -113,7 +119,8 @@ def with_its_rule(policy: Any, logs: Logs, is_outside: Callable[[Any], Bool[np.n
     replaced, notes = _replaced(policy.categories, stages)
     if is_far.any():
         where = f"{is_far.sum()} {'stage' if is_far.sum() == 1 else 'stages'}"
-        notes = (*notes, f"in {where} the state lies outside the policy's logs: the rule decided in its place")
+        beyond = "the state lies outside the policy's logs, or beyond its horizon"
+        notes = (*notes, f"in {where} {beyond}: the rule decided in its place")
     known = Logs(replaced, logs.trajectories, logs.objects, reward_unit=logs.reward_unit, missing=logs.missing)
     return Served(WithItsRule(policy, actions, pd.MultiIndex.from_frame(by_rule[STAGE])), known, notes)
 

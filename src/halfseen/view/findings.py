@@ -149,9 +149,9 @@ def _judged(
     served, logs, by_rule = with_its_rule(policy, logs, stored.is_outside)
     evaluation = evaluate(served, logs, censoring=spec.censoring, q=spec.q, is_hourly=True, **options)
     evaluation = replace(evaluation, notes=(*by_rule, *evaluation.notes))
-    task = (spec.q and spec.q.task) or task_of(policy, logs)
+    task = (spec.q and spec.q.task) or task_of(served, logs)
     on_progress("look at the policy")
-    decided = choices(stored, task, logs)
+    decided = choices(served, task, logs)
     on_progress("learn again")
     seed, workers = options["random_state"], options["workers"]
     curves, band = q_curves(stored, logs, num_replicates, seed, is_own_log=is_own_log, workers=workers)
