@@ -329,6 +329,10 @@ def test_a_field_that_a_model_does_not_take_is_named_with_its_value_and_the_reme
         for stage in ("x", "1.5", "0", "-1", ""):
             line = refused(client.post("/decide", files=files, data={"stage": stage}), 422)
             assert line == f"the request: stage is {stage!r}; give the stage to decide, a whole number from 1."
+        for more, says in (("label", "'label' is none of its parts"), ("cloud", "'cloud' is given twice")):
+            parts = [*files.items(), (more, ("l.csv", b""))]
+            line = refused(client.post("/decide", files=parts), 422)
+            assert line == f"the request: {says}; give cloud, labels, stage"
         line = refused(client.post("/decide", files=files, data={"labels": "0,dirty"}), 422)
         assert line.startswith("the request: labels is '0,dirty'; give a .csv or .json of what looks dirty, as")
 
