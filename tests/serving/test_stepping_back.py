@@ -71,6 +71,19 @@ def test_a_hair_outside_the_rule_decides_where_that_is_wanted_and_the_ends_are_w
             assert not float(least) <= float(value) <= float(most)
 
 
+def test_the_ends_of_what_was_logged_in_single_precision_are_within_however_they_are_written(tmp_path):
+    logs, rng = flat_log(), np.random.default_rng(0)
+    x1 = rng.choice(np.array([0.1, 0.2, 0.3], dtype=np.float32), len(logs.stages))
+    logs = Logs(logs.stages.assign(x1=x1), logs.trajectories)
+    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1)
+    write_policy(learner.fit(logs), logs, tmp_path / "policy")
+    with client_of(tmp_path / "policy", served={"stays_within": True}) as client:
+        for value in (0.1, 0.3, *map(float, np.float32([0.1, 0.3]))):
+            assert "stepped_back" not in decided(client, x1=value, x2=1)
+        for value in (0.0999999, 0.3000001):
+            assert decided(client, x1=value, x2=1)["stepped_back"] == "out-of-range"
+
+
 def test_a_rule_file_decides_and_where_it_cannot_the_usual_action_does(flat, tmp_path, logs):
     rule = tmp_path / "rule.csv"
     rule.write_text("x2,seen_by,action\n> 1,= left,C\n,,A\n")
