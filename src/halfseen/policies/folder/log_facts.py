@@ -166,7 +166,8 @@ def _shown(values: Any, categories: Sequence[str] | None) -> Any:
 
 def _end(value: Any) -> tuple[float, ...]:
     """An end of a range; in single precision also as written, since 0.1 is then more than the 0.1 of a client."""
-    return (float(value), float(str(value))) if isinstance(value, np.float32) else (float(value),)
+    is_single = getattr(value, "dtype", None) == np.float32
+    return (float(value), float(str(value))) if is_single else (float(value),)
 
 
 def _seen_tables(logs: Logs) -> list[dict[str, Any]]:

@@ -9,6 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from asyncua import ua
 from asyncua.client.client import Client
 from asyncua.common.node import Node
@@ -173,7 +174,12 @@ def _doubt(found: ua.DataValue, now: datetime | None, limit_s: float | None) -> 
 
 
 def _value(found: ua.DataValue) -> Any:
-    return None if found.Value is None else found.Value.Value
+    """The value; one of single precision as it is written, since 0.3 would be more than the 0.3 of a log."""
+    if found.Value is None:
+        return None
+    value = found.Value.Value
+    is_single = found.Value.VariantType == ua.VariantType.Float and isinstance(value, float)
+    return float(str(np.float32(value))) if is_single else value
 
 
 def _plain(value: Any) -> Any:
