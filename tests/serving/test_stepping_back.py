@@ -155,7 +155,9 @@ def test_a_new_category_is_outside_the_logs(tmp_path):
     with client_of(tmp_path / "policy") as client:
         told = decided(client, x1=0.1, colour="mauve")
         assert (told["action"], told["stepped_back"]) == (usual(logs, 1), "out-of-range")
-        assert "colour is 'mauve', which no state of the logs showed" in told["reason"]
+        assert "colour is 'mauve', which no state of the logs showed." in told["reason"]
+        told = decided(client, x1=0.1, colour="Red")
+        assert "colour is 'Red', which no state of the logs showed; they showed 'red'." in told["reason"]
         assert "'x1'" in refused(client.post("/decide", json={"colour": "mauve"}), 422)
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from halfseen.arrays import Points, mapped
-from halfseen.errors import HalfseenError, OutOfRangeError
+from halfseen.errors import HalfseenError, OutOfRangeError, closest
+from halfseen.learning.covariates import Categories
 from halfseen.logs.recording_state import Schema
 from halfseen.logs.trajectory_recorder import log_so_far
 from halfseen.policies.decision import Decision
@@ -108,13 +109,15 @@ def seen_in_state(
     # A category may come as a number, and is text in the log.
     begun = Begun({**full, **{name: at for name, at in known.items() if isinstance(at, str) and name not in new}})
     if new:
-        return Seen(partial(_refuse_new, new), stage, begun)
+        return Seen(partial(_refuse_new, new, policy.categories), stage, begun)
     return Seen(lambda: decider.decide_known(known, stage, filled), stage, begun)
 
 
-def _refuse_new(new: Mapping[str, str]) -> Decision:
+def _refuse_new(new: Mapping[str, str], categories: Categories) -> Decision:
     name, given = next(iter(new.items()))
-    raise OutOfRangeError(f"{name} is {given!r:.40}, which no state of the logs showed")
+    meant = closest(given, categories[name])
+    they = "" if meant is None else f"; they showed {meant!r:.40}"
+    raise OutOfRangeError(f"{name} is {given!r:.40}, which no state of the logs showed{they}")
 
 
 def _check_next(stage: int | None, next_stage: int | None) -> None:
