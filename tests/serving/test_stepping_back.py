@@ -110,6 +110,15 @@ def test_a_rule_that_asks_for_what_the_policy_does_not_is_told_of(flat, tmp_path
     assert "rule.csv: the rule asks for x_1, and the policy does not; where a request lacks it" in told.output
     assert "did you mean 'x1'?" in told.output
     assert isinstance(told.exception, ArgumentError)
+    logs = flat_log()
+    logs = Logs(logs.stages.assign(colour=np.where(logs.stages["x1"] > 0, "red", "blue")), logs.trajectories)
+    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "colour"], reg=0.1)
+    write_policy(learner.fit(logs), logs, tmp_path / "policy")
+    (tmp_path / "rule.csv").write_text("colour,action\nred or blue,B\n!= Red,C\nblue,A\n,A\n")
+    told = CliRunner().invoke(serve, [str(tmp_path / "policy"), *words[1:]]).output
+    assert "rule.csv: the rule asks for colour = red or blue, which no log showed" in told
+    assert "rule.csv: the rule asks for colour != Red, which no log showed; did you mean 'red'?" in told
+    assert told.count("the rule asks for") == 2
 
 
 @pytest.mark.parametrize("failing", ["raises", "is no number"])

@@ -178,7 +178,7 @@ def serve(
     if served.service.fall_back is None:
         tell_warning(f"{NOBODY}; until then, what the policy does not decide is refused")
     for file in filter(None, dict.fromkeys((fall_back, against))):
-        _warn_of_columns(served.service.stored, file)
+        _warn_of_rule(served.service.stored, file)
     if served.service.stored.counts_views:
         served.law = law_of(law or SHIPPED)
     wire = None if controller is None or mapping is None else _wire(served, controller, mapping)
@@ -208,15 +208,20 @@ def serve(
         answer(app_of(served, token, wire=wire), at, begun)
 
 
-def _warn_of_columns(stored: Any, file: Path) -> None:
+def _warn_of_rule(stored: Any, file: Path) -> None:
+    """Tell of columns and categories that the policy does not know; requests may still bring them."""
     from halfseen.policies.rule_files import rule_of
 
-    covariates = stored.policy.covariates
-    for name in (name for name in rule_of(stored, file).columns if name not in covariates):
+    rule, covariates, categories = rule_of(stored, file), stored.policy.covariates, stored.policy.categories
+    for name in (name for name in rule.columns if name not in covariates):
         tell_warning(
             f"{file}: the rule asks for {name}, and the policy does not; where a request lacks it, the usual action of "
             f"the log is taken instead of the rule's{did_you_mean(name, covariates)}"
         )
+    for one in (one for row in rule.rows for one in row.conditions):
+        if one.column in categories and one.text not in categories[one.column]:
+            meant = did_you_mean(str(one.text), categories[one.column])
+            tell_warning(f"{file}: the rule asks for {one.column} {one.sign} {one.text}, which no log showed{meant}")
 
 
 def _check_wire(controller: str | None, mapping: Path | None, record: Path | None) -> None:
