@@ -117,16 +117,16 @@ _READERS: dict[str, Callable[[Path], Entries]] = {".csv": _csv_entries, ".toml":
 def _rows(entries: Entries, known: Mapping[str, Hashable]) -> tuple[RuleRow, ...]:
     rows = []
     for number, (asked, action) in enumerate(entries, start=1):
-        if not isinstance(action, str | int) or action == "":
+        if not isinstance(action, str | int) or isinstance(action, bool) or action == "":
             raise ArgumentError(f"row {number}: action is {action!r}; name one")
-        conditions = [_condition(number, str(name), part) for name, text in asked.items() for part in _parts(str(text))]
+        conditions = [_condition(number, str(name), part) for name, text in asked.items() for part in _parts(text)]
         rows.append(RuleRow(tuple(conditions), known.get(str(action), action)))
     return tuple(rows)
 
 
-def _parts(text: str) -> list[str]:
+def _parts(given: Any) -> list[str]:
     """Split several conditions, of which only the first may lack a sign; text may hold the word "and" itself."""
-    parts = text.split(" and ")
+    parts = (text := str(int(given) if isinstance(given, bool) else given)).split(" and ")
     return parts if all(part.strip().startswith(tuple(COMPARISONS)) for part in parts[1:]) else [text]
 
 
