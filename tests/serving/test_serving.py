@@ -74,6 +74,12 @@ def test_it_says_what_act_says(asked, flat, tmp_path):
         (b'{"x1": "red", "x2": 1}', 422, "'x1' holds no numbers"),
         (b'{"x1": [1], "x2": {"a": 2}}', 422, "'x1' holds no numbers"),
         (b'{"x1": 1e999, "x2": 1}', 400, "1e999 is no number of JSON"),
+        # Of a log that held it, nothing could be learned.
+        (
+            b'{"x1": 1.7976931348623157e308, "x2": 1}',
+            422,
+            "'x1' is 1.7976931348623157e+308; give a finite",
+        ),
         (b'{"x1": 1' + b"0" * 400 + b', "x2": 1}', 400, "is no whole number of 64 bits"),
         (b'{"x1": 0, "x2": 1, "stage": 0}', 422, "stage is 0; it is a whole number from 1"),
         (b'{"x1": 0, "x2": 1, "stage": 10001}', 422, "stage is 10001; it is a whole number from 1 to 10,000"),
