@@ -74,6 +74,7 @@ REFUSED = [
     (f"simulate --out x --horizon {10**6}", f"{10**6} is not in the range"),
     (f"evaluate x --world --episodes {10**12}", f"{10**12} is not in the range"),
     (f"learn x --out y --horizon {10**6}", f"{10**6} is not in the range"),
+    ("serve policy --record policy", "--record is policy, the folder of the policy; give another folder for its logs"),
     ("serve policy --share nan", "'--share': nan is no number"),
     ("serve policy --explore nan", "'--explore': nan is no number"),
     ("act policy far.json", "x1 is 800, outside the logs (…--extrapolate"),

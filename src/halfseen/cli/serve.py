@@ -171,6 +171,8 @@ def serve(
     _check_wire(controller, mapping, record)
     if against is not None and record is None:
         raise ArgumentError(f"--against is {against}, and the comparison lives in the log; give --record LOGS")
+    if record is not None and record.exists() and policy.exists() and record.samefile(policy):
+        raise ArgumentError(f"--record is {record}, the folder of the policy; give another folder for its logs")
     # Create the folder of logs only when there is something to record.
     stays_within = not extrapolate and out_of_range != "answer"
     how: Any = {"extrapolates": extrapolate, "stays_within": stays_within, "rule": fall_back or against}
