@@ -306,7 +306,7 @@ def test_what_a_wrong_wash_costs_is_told_once_and_where_it_is_known():
 
 def test_how_sure_it_is_stands_with_what_it_is_worth():
     worths = {"FINISH": 1.0, "WASH_0": 0.5}
-    assert ", and best with a chance of 71%; nothing" in reason({}, worths, {"FINISH": 0.71, "WASH 0": 0.29})
+    assert ", and best with a chance of 71%; none" in reason({}, worths, {"FINISH": 0.71, "WASH 0": 0.29})
     doubted = reason({}, worths, {"FINISH": 0.3, "WASH 0": 0.7})
     assert "best with a chance of 30%; WASH 0 is likelier best (70%), but the logs bear it out less;" in doubted
 

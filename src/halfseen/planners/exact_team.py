@@ -183,7 +183,7 @@ class Team:
     def decisions(self, tally: Tally, work: Work) -> Iterator[tuple[int, Work]]:
         """Iterate over the possible actions of the deciding robot, as in `possible_actions`, and the resulting work."""
         robot, levels = work.decider, self.world.levels(tally)
-        assert robot is not None, "somebody is free"
+        assert robot is not None, "some robot is free"
         before, behind = work.doings[:robot], work.doings[robot + 1 :]
         to_go = (*work.to_go[:robot], work.to_go[robot] - 1, *work.to_go[robot + 1 :])
         yield FINISH, Work((*before, self._leaving[robot], *behind), to_go)

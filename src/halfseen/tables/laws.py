@@ -299,4 +299,4 @@ def laws_in_words(laws: FittedLaws, tried: Watched) -> str:
     held = f"a first grasp holds for {' and '.join(parts)}; " if parts else ""
     found, falsely = (float(each) for each in config.seeing.positive(0.0, 0.0))
     looks = f"a first look in full view labels {found:.0%} of dirty objects and {falsely:.0%} of clean ones as dirty"
-    return f"by its laws {held}{looks}"
+    return f"under its laws, {held}{looks}"
