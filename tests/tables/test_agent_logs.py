@@ -191,9 +191,7 @@ def test_what_cannot_be_told_is_refused(team_logs):
         agent_view(without, 0)
     logs = one_by_one(ROWS[:2], {"end_s": 3.0, "ending": "finished", "cause": None})
     logs.objects.at[2, "attempt_occlusions"], logs.objects.at[2, "attempt_succeeded"] = [0.0] * 2, [False] * 2
-    with pytest.raises(
-        LogError, match="trajectory 0, stage 2, object 0: it has more attempts than the WASH and LIFT"
-    ):
+    with pytest.raises(LogError, match="trajectory 0, stage 2, object 0: it has more attempts than the WASH and LIFT"):
         agent_view(logs, 0)
 
 
