@@ -29,7 +29,7 @@ def figures_of(found: Monitored, unit: str | None) -> dict[str, Markup]:
     """Draw the rewards over time, if known, and the evidence for a change over time, by title."""
     figures = {}
     if found.course is not None and found.outcomes is not None:
-        title = "What a trajectory earns so far, with bounds that hold at all times, beside what was promised"
+        title = "Mean reward of a trajectory so far, with bounds that hold at all times, and the promised reward"
         figures[title] = inline_svg(partial(_draw_earned, found, unit), "f-earned", title)
     title = "Evidence for a change: the smaller the p-value, the stronger; below its line, a family alarms"
     figures[title] = inline_svg(partial(_draw_evidence, found), "f-evidence", title)
