@@ -215,9 +215,7 @@ class CensoredQLearner(Estimator):
         if not is_count(num_robots):
             raise ArgumentError(f"num_robots is {num_robots!r}; give a whole number of at least 1")
         if not is_count(horizon):
-            raise ArgumentError(
-                f"horizon is {horizon!r}; give the decisions of each robot, a whole number of at least 1"
-            )
+            raise ArgumentError(f"horizon is {horizon!r}; give the decisions of each robot, a whole number ≥ 1")
         task = named_task("team", grasp=grasp, reduces_variance=reduces_variance, num_robots=num_robots, base=base)
         learner = learner_of("team", cls, laws if _is_auto(base) else None, parameters)
         return learner(num_robots * horizon, task, **parameters)
@@ -363,7 +361,7 @@ class CensoredQLearner(Estimator):
     def _named_policy(self) -> Any:
         if isinstance(self.actions, Task):
             raise ArgumentError(
-                f"{type(self.actions).__name__} decides by its own policy; use policy_, or name the actions"
+                f"{type(self.actions).__name__} decides by its own policy; use policy_, or name actions"
             )
         check_fitted(self, "policy_")
         return self.policy_

@@ -270,9 +270,7 @@ def _weights(
         return np.ones(len(frame)), np.ones(len(frame), dtype=bool)
     is_finished = _flags(frame, "is_finished", np.ones(len(frame), dtype=bool))
     if not is_finished.any():
-        raise ArgumentError(
-            f"{NAME}: all {len(frame)} attempts were cut before they were decided; record until some are decided"
-        )
+        raise ArgumentError(f"{NAME}: all {len(frame)} attempts were cut undecided; record until some are decided")
     if model is None:
         return is_finished.astype(np.float64), is_finished
     covariates = np.column_stack(history) if uses_covariates(model) else None
@@ -340,9 +338,7 @@ def splits_of(decided: Decided, num_folds: int, random_state: int) -> list[tuple
     num_objects = [len(np.unique(decided.group[decided.succeeded == outcome])) for outcome in (False, True)]
     if min(num_objects) < FEWEST_OBJECTS:
         word = "failures" if num_objects[0] < FEWEST_OBJECTS else "successes"
-        raise ArgumentError(
-            f"{word} were observed for at most one object, so none can be held out; record more objects"
-        )
+        raise ArgumentError(f"{word} were seen for at most one object, so none can be held out; record more objects")
     num_folds = min(num_folds, *num_objects)
     objects, place = np.unique(decided.group, return_inverse=True)
     share = np.bincount(place, decided.succeeded) / np.bincount(place)

@@ -219,7 +219,7 @@ GOOD = cut_some(beta_attempts(40))
         (lambda f: f.drop(columns="time_s"), "column is_finished needs time_s"),
         (lambda f: f.drop(columns="is_finished"), "column time_s needs is_finished"),
         (lambda f: f.assign(time_s=0.0), "row 0: time_s is 0.0; give the time for which"),
-        (lambda f: f.assign(is_finished=False), "all 160 attempts were cut before they were decided"),
+        (lambda f: f.assign(is_finished=False), "all 160 attempts were cut undecided"),
         (lambda f: f.iloc[:0], "has no rows"),
         (lambda f: pd.concat([f, f["occlusion"]], axis=1), "two columns 'occlusion'"),
     ],

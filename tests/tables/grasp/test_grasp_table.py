@@ -272,10 +272,10 @@ def test_constant_features_are_no_trouble():
     [
         (beta_attempts(20).assign(succeeded=True), "all 80 decided attempts succeeded; an SVM needs both"),
         (beta_attempts(20).assign(succeeded=False), "all 80 decided attempts failed; an SVM needs both"),
-        (beta_attempts(20).assign(object=0), "failures were observed for at most one object"),
+        (beta_attempts(20).assign(object=0), "failures were seen for at most one object"),
         (
             beta_attempts(20).assign(succeeded=lambda f: f["object"] == 3),
-            "successes were observed for at most one object",
+            "successes were seen for at most one object",
         ),
         (beta_attempts(20).assign(occlusion=-0.1), "row 0: occlusion is -0.1"),
     ],
