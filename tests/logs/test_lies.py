@@ -13,8 +13,7 @@ from halfseen.evaluation import evaluate
 from halfseen.evaluation.targets import FixedSequence
 from halfseen.logs import Logs
 from halfseen.logs.data_quality import data_warnings
-from halfseen.logs.grouping import coded, grouped, rows_with
-from halfseen.logs.grouping import grouped_covariates
+from halfseen.logs.grouping import coded, grouped, grouped_covariates, rows_with
 from halfseen.logs.plausibility import chance_of_shorter, excess_p, imbalance_p, outcomes_among_covariates
 from small_logs import log_of
 

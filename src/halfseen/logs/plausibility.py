@@ -183,8 +183,7 @@ def outcomes_among_covariates(
     untested
         Share of the remaining variance that a covariate must explain if the log has no probabilities to test it.
     """
-    from scipy.linalg import solve_triangular
-    from scipy.linalg.lapack import dpstrf
+    from scipy.linalg import get_lapack_funcs, solve_triangular
 
     stages = rows_with(logs.stages, "reward", "action", most=MOST_REWARDS)
     if len(stages) < FEWEST_REWARDS or not logs.stage_covariates or logs.has_objects:
@@ -202,13 +201,14 @@ def outcomes_among_covariates(
     if columns.shape[1] - len(blocks) >= len(reward):
         return  # No degree of freedom is left.
     gram, pull, total = columns.T @ columns, columns.T @ reward, float(reward @ reward)
+    (cholesky,) = get_lapack_funcs(("pstrf",), (gram,))
 
     def left(used: RowMask, added: Float[np.ndarray, "m k"]) -> float:
         """Residual variance of the reward after regression on some columns, per remaining degree of freedom."""
         cross = columns[:, used].T @ added
         joint = np.block([[gram[np.ix_(used, used)], cross], [cross.T, added.T @ added]])
-        # Pivoted Cholesky finds the rank in a tenth of the time of an eigendecomposition.
-        factor, pivot, rank, _ = dpstrf(joint, tol=1e-9 * joint.diagonal().max(), lower=1)
+        # It is pivoted, and finds the rank in a tenth of the time of an eigendecomposition.
+        factor, pivot, rank, _ = cholesky(joint, tol=1e-9 * joint.diagonal().max(), lower=1)
         pulled = np.append(pull[used], added.T @ reward)[pivot[:rank] - 1]
         along = solve_triangular(factor[:rank, :rank], pulled, lower=True)
         return max(total - float(along @ along), 0.0) / max(len(reward) - rank, 1)
