@@ -13,7 +13,7 @@ from halfseen.evaluation import evaluate
 from halfseen.evaluation.targets import FixedSequence
 from halfseen.logs import Logs
 from halfseen.logs.data_quality import data_warnings
-from halfseen.logs.grouping import coded, grouped, rows_with
+from halfseen.logs.grouping import coded, grouped, grouped_covariates, rows_with
 from halfseen.logs.plausibility import chance_of_shorter, excess_p, imbalance_p, outcomes_among_covariates
 from small_logs import log_of
 
@@ -124,7 +124,12 @@ def test_a_covariate_that_foretells_much_and_was_known_before_raises_no_doubt():
     seen |= {"action": np.where(action, "A", "B"), "reward": 3.0 * x + 0.1 * action}
     assert data_warnings(log_of(**seen, probability=0.5)) == ()
     # Without probabilities nobody can tell.
-    assert len(list(outcomes_among_covariates(log_of(**seen)))) == 1
+    (said,) = outcomes_among_covariates(log_of(**seen))
+    (x_group,) = grouped_covariates(log_of(**seen), log_of(**seen).stages)
+    reward = pd.Series(seen["reward"])
+    by_action, by_both = (reward - reward.groupby(by).transform("mean") for by in (action, [action, x_group.group]))
+    left = (by_both @ by_both / (num - 2 * x_group.num_groups)) / (by_action @ by_action / (num - 2))
+    assert f"explains {1.0 - left:.0%} of" in said
     assert list(outcomes_among_covariates(log_of(**seen), of=("y",))) == []
 
 

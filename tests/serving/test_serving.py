@@ -71,8 +71,8 @@ def test_it_says_what_act_says(asked, flat, tmp_path):
         (b"{}", 422, "there is no 'x1' among nothing"),
         (b'{"x1": 1, "X2": 1}', 422, "there is no 'x2' among x1, X2"),
         (b'{"x1": null, "x2": 1}', 422, "covariate 'x1'"),
-        (b'{"x1": "red", "x2": 1}', 422, "'x1' holds no numbers"),
-        (b'{"x1": [1], "x2": {"a": 2}}', 422, "'x1' holds no numbers"),
+        (b'{"x1": "red", "x2": 1}', 422, "'x1' is not numeric"),
+        (b'{"x1": [1], "x2": {"a": 2}}', 422, "'x1' is not numeric"),
         (b'{"x1": 1e999, "x2": 1}', 400, "1e999 is no number of JSON"),
         # Of a log that held it, nothing could be learned.
         (

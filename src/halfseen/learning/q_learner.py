@@ -213,9 +213,9 @@ class CensoredQLearner(Estimator):
             `num_robots` or `horizon` is not a whole number of at least 1, or `laws` is not valid.
         """
         if not is_count(num_robots):
-            raise ArgumentError(f"num_robots is {num_robots!r}; a team has a whole number of robots, at least 1")
+            raise ArgumentError(f"num_robots is {num_robots!r}; give a whole number of at least 1")
         if not is_count(horizon):
-            raise ArgumentError(f"horizon is {horizon!r}; give the decisions of each robot, a whole number, at least 1")
+            raise ArgumentError(f"horizon is {horizon!r}; give the decisions of each robot, a whole number ≥ 1")
         task = named_task("team", grasp=grasp, reduces_variance=reduces_variance, num_robots=num_robots, base=base)
         learner = learner_of("team", cls, laws if _is_auto(base) else None, parameters)
         return learner(num_robots * horizon, task, **parameters)
@@ -292,8 +292,8 @@ class CensoredQLearner(Estimator):
         )
         if is_of_policy and model.pessimism > 0:
             raise ArgumentError(
-                f"pessimism is {self.pessimism}, but Q is that of a given policy, where no largest is sought; leave it "
-                "out, or learn Q of the best one (base=None)"
+                f"pessimism is {self.pessimism}, but Q is that of a given policy, without a maximum over "
+                "actions; leave it out, or learn Q of the best policy (base=None)"
             )
         if _is_auto(self.pessimism) and not (is_fixed or is_of_policy):
             model = replace(model, pessimism=PESSIMISM / self.horizon**0.5)
@@ -304,16 +304,16 @@ class CensoredQLearner(Estimator):
         """Compose a tabular Q: pooled stages, and cells shrunk instead of pessimism."""
         if self.stages not in (AUTO, "pooled") or self.pessimism not in (AUTO, 0):
             raise ArgumentError(
-                f"q_function is 'tabular', which pools stages and shrinks what few speak for, but stages is "
+                "q_function is 'tabular', which pools stages and shrinks cells with few stages, but stages is "
                 f"{self.stages!r} and pessimism {self.pessimism!r}; leave them out"
             )
         if self.half_life is not None:
             raise ArgumentError(
-                f"q_function is 'tabular', which counts all trajectories alike, but half_life is {self.half_life!r}; "
-                "select those since a change instead (--since)"
+                "q_function is 'tabular', which weights all trajectories equally, but half_life is "
+                f"{self.half_life!r}; select those since a change instead (--since)"
             )
         states = with_states(task, logs, targets)
-        why = (f"Q is a table: {states.covariates[0]} names a state",)
+        why = (f"Q is a table: {states.covariates[0]} holds the states",)
         return QModel(
             self.horizon, states, targets, TabularQ(), reg_of(self.reg), "pooled", self.random_state, space_chosen=why
         )
@@ -354,13 +354,15 @@ class CensoredQLearner(Estimator):
             return NamedActions(self.actions, self.covariates)
         if len(self.covariates):
             raise ArgumentError(
-                f"covariates is {list(self.covariates)}, but the task says what Q looks at; leave it out"
+                f"covariates is {list(self.covariates)}, but the task sets the covariates of Q; leave it out"
             )
         return self.actions
 
     def _named_policy(self) -> Any:
         if isinstance(self.actions, Task):
-            raise ArgumentError(f"{type(self.actions).__name__}'s own policy decides: ask policy_; or name the actions")
+            raise ArgumentError(
+                f"{type(self.actions).__name__} decides by its own policy; use policy_, or name actions"
+            )
         check_fitted(self, "policy_")
         return self.policy_
 

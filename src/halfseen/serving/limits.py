@@ -155,14 +155,15 @@ async def cloud_in(request: Request) -> AsyncIterator[Cloud]:
         except HTTPException as error:
             trouble = f"the request is no multipart form ({error.detail}); give {', '.join(names)}"
             raise Refusal(400, trouble) from error
+        folder = Path(kept.enter_context(TemporaryDirectory()))
+        given = {name: await _kept(name, form[name], folder) for name in names if name in form}
+        found = model_of(given, Cloud, is_text=True)
         parts = [name for name, _ in form.multi_items()]
         for name in parts:
             if name not in names or parts.count(name) > 1:
                 trouble = "is given twice" if name in names else "is none of its parts"
                 raise Refusal(422, f"the request: {name!r:.40} {trouble}; give {', '.join(names)}")
-        folder = Path(kept.enter_context(TemporaryDirectory()))
-        given = {name: await _kept(name, form[name], folder) for name in names if name in form}
-        yield model_of(given, Cloud, is_text=True)
+        yield found
 
 
 async def _kept(name: str, given: UploadFile | str, folder: Path) -> Path | str:

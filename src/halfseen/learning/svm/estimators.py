@@ -177,7 +177,7 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
         left, most = (weights[seen] @ loss.value(values[seen], s[seen]) for s in (f, np.full(len(f), constant)))
         if most <= 0.0:
             raise ArgumentError(
-                f"score has {int(seen.sum())} rows to look at, whose targets a constant fits; give more rows"
+                f"score has {int(seen.sum())} observed rows, whose targets a constant fits exactly; give more rows"
             )
         return float(1.0 - left / most)
 
@@ -313,7 +313,7 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
     def _ends(self, y: Any) -> Ends | None:
         ends = as_ends(y)
         if ends is not None and self.tau is None:
-            raise ArgumentError("y holds times and tau is None; give the tau that tells early from late, or labels")
+            raise ArgumentError("y holds times and tau is None; give the tau that separates early from late, or labels")
         if ends is None and self.tau is not None:
             times = column_or_1d(y, dtype=np.float64)
             return Ends(times, np.ones(len(times), dtype=bool))
@@ -333,8 +333,8 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         self.classes_ = np.unique(labels) if ends is None else np.array([False, True])
         if len(self.classes_) > 2:
             raise ArgumentError(
-                f"Only binary classification is supported: y has {len(self.classes_)} classes; tell two apart, or use "
-                "sklearn.multiclass.OneVsRestClassifier"
+                f"Only binary classification is supported: y has {len(self.classes_)} classes; choose two, or "
+                "use sklearn.multiclass.OneVsRestClassifier"
             )
         if len(self.classes_) < 2:
             raise ArgumentError(f"y holds only one class, {self.classes_[0]!r}; give labels of two classes")
@@ -345,6 +345,6 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         seen = targets[self.weights_ > 0]
         if len(np.unique(seen)) < 2:
             raise ArgumentError(
-                f"only one class, {self.classes_[int(seen[0] > 0)]!r}, was seen among {len(targets)} rows; both are "
-                "needed to tell them apart"
+                f"only one class, {self.classes_[int(seen[0] > 0)]!r}, was observed among {len(targets)} rows; "
+                "both classes are needed"
             )
