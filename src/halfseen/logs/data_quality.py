@@ -28,7 +28,7 @@ from halfseen.logs.grouping import (
     rows_with,
 )
 from halfseen.logs.logs import Logs
-from halfseen.logs.mixed_units import long_clocks, mixed_clocks, mixed_covariates
+from halfseen.logs.mixed_units import long_clocks, mixed_clocks, mixed_covariates, short_clocks
 from halfseen.logs.plausibility import (
     MOST_EXPLAINED,
     cuts_called_finished,
@@ -41,8 +41,8 @@ from halfseen.suggestions import alike, spelled_out
 FEWEST_ROWS, FEWEST_CUTS, FEWEST_TRAJECTORIES = 10, 5, 30
 FEWEST_IN_STATE, FEWEST_STAGES, RARE_SHARE = 50, 200, 0.01
 SAME_END, NEARLY_ALL, NUM_NAMED, MOST_SPELLINGS = 0.01, 0.99, 3, 1000
-AS_NUMBER = r"[+-]?(?:\d{1,3}(?:[.,'\u2019 ]\d{3})+(?:[.,]\d+)?|\d+,\d+)"
-"""A number with a decimal comma or thousands separators."""
+AS_NUMBER = r"[+-]?(?:\d{1,3}(?:[.,'\u2019 ]\d{3})+(?:[.,]\d+)?|\d*[.,]\d+)"
+"""A fraction, or a number with thousands separators."""
 NAMES_OF_ENDS = {
     *("finished", "finish", "done", "success", "succeeded", "complete", "completed"),
     *("goal", "goal-reached", "cleared", "terminated", "terminal", "ok"),
@@ -165,7 +165,7 @@ def _numbers_as_text(logs: Logs) -> Iterator[str]:
         if is_number.mean() > 0.5:
             yield (
                 f"{name} is text that reads as numbers, such as {shown(text[is_number].iloc[0])}, and each is taken "
-                "for a category: write them with a decimal point and without separators"
+                "for a category: write them as numbers, with a decimal point and without separators"
             )
 
 
@@ -317,6 +317,7 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "cuts-in-one-stage": _one_stage,
     "mixed-clock-units": mixed_clocks,
     "long-clock": long_clocks,
+    "short-clock": short_clocks,
     "running-clock": _running_clocks,
     "mixed-covariate-units": mixed_covariates,
     "reward-as-covariate": _reward_as_covariate,
