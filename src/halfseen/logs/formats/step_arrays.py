@@ -20,7 +20,7 @@ import numpy as np
 from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.installation import extra
 from halfseen.logs.columns import CUT
-from halfseen.logs.formats.step_clocks import ends_by_steps, even_ends
+from halfseen.logs.formats.step_clocks import ends_by_steps, even_ends, refuse_rounded
 from halfseen.logs.formats.steps import Ending, StepColumns, StepRules, StepTable, columns_of, refuse_early, require
 from halfseen.logs.logs import Logs
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, refused
@@ -267,6 +267,7 @@ def _clock(episode: Any, clock: str, place: str) -> Float[np.ndarray, " T"]:
             f"{place}: info {clock!r} is {values.dtype} of shape {values.shape}, no time for each of {num_steps} steps "
             "[s]; name another clock"
         )
+    refuse_rounded(place, clock, values)
     return values.astype(np.float64)
 
 

@@ -18,7 +18,7 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, LogError, warn, within
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
-from halfseen.logs.formats.step_clocks import refuse_counts
+from halfseen.logs.formats.step_clocks import refuse_counts, refuse_rounded
 from halfseen.logs.logs import Logs
 from halfseen.shapes import Bool, Float, Int, Shaped
 
@@ -110,6 +110,8 @@ class StepColumns:
                 f"{self.place}: {name} holds {values.dtype} of shape {values.shape[1:]}, and not {_MEANT[role]} for "
                 f"each step; name another column as {role}"
             )
+        if role == "clock":
+            refuse_rounded(self.place, name, flat)
         return flat.astype(np.float64)
 
     def flags(self, name: str) -> Bool[np.ndarray, " N"]:
