@@ -225,7 +225,9 @@ def test_a_folder_of_tables_is_one_table(place):
         "days", "--mapping", "events.toml", "--out", "x"
     )
     Path("days/tuesday.csv").write_text("a;b\n1;2\n")
-    assert "tuesday.csv: its columns are 'a', 'b'" in refusal("days", "--mapping", "events.toml", "--out", "x")
+    assert "tuesday.csv: its columns are not those of days/monday.csv ('Ereignis', " in refusal(
+        "days", "--mapping", "events.toml", "--out", "x"
+    )
 
 
 def test_rows_of_a_database_are_events_too(place):
@@ -266,6 +268,10 @@ def test_who_has_a_table_and_no_mapping_hears_of_the_command_that_makes_one(plac
     (place / "book.xlsx").write_bytes(b"PK")
     assert "book.xlsx: workbooks are not read; save the sheet as CSV" in refusal("book.xlsx", "--out", "logs")
     assert "`halfseen convert --help` says which files are read" in typed("inspect", "book.xlsx").err
+    (place / "events.csv.GZ").write_bytes(b"\x1f\x8b")
+    assert "unpack it, and read what it holds" in refusal("events.csv.GZ", "--out", "logs")
+    (place / "MORE.CSV").write_text(GERMAN, encoding="cp1252")
+    assert "halfseen convert MORE.CSV --mapping-template --out cell.toml" in typed("inspect", "MORE.CSV").err
     broken = GERMAN.replace("1,25", "viel")
     (place / "events.csv").write_text(broken, encoding="cp1252")
     (place / "cell.toml").write_text(HISTORIAN, encoding="utf-8")

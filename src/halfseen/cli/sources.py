@@ -89,8 +89,8 @@ def _step_files(path: Path) -> list[Path]:
     from halfseen.logs.formats.step_tables import TABLE_FILES
 
     if not path.is_dir():
-        return [path] if path.suffix in TABLE_FILES else []
-    files = sorted(file for file in path.iterdir() if file.suffix in TABLE_FILES)
+        return [path] if path.suffix.lower() in TABLE_FILES else []
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in TABLE_FILES)
     return [] if any(file.stem in ("stages", "trajectories", "objects") for file in files) else files
 
 
@@ -100,7 +100,7 @@ def tables_of_events(path: Path) -> list[Path]:
         return [path]
     if _bags(path) or (path / "logs.json").exists():
         return []
-    return sorted(file for file in path.iterdir() if file.suffix in (".csv", ".tsv", ".parquet"))
+    return sorted(file for file in path.iterdir() if file.suffix.lower() in (".csv", ".tsv", ".parquet"))
 
 
 def _bags(path: Path) -> list[Path]:

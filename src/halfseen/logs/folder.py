@@ -86,6 +86,8 @@ def asking(place: Place) -> Iterator[None]:
 
 FOREIGN_TABLES = (".csv", ".tsv", ".txt", ".parquet")
 """Files of other programs that `halfseen convert` turns into logs by a mapping."""
+PACKED = (".gz", ".zip", ".zst", ".bz2", ".xz", ".7z", ".tar", ".tgz")
+"""Files that hold other files."""
 DATABASES = {".db": "sqlite", ".sqlite": "sqlite", ".sqlite3": "sqlite", ".duckdb": "duckdb"}
 """Names of databases in SQLAlchemy, by file extension."""
 MOST_PARTS = 64
@@ -192,13 +194,16 @@ def read_manifest(folder: Place) -> Folder:
 
 def _way_in(file: Path) -> str:
     """Hint at the command that reads a file of another program."""
-    if file.suffix in FOREIGN_TABLES:
+    kind = file.suffix.lower()
+    if kind in PACKED:
+        return "unpack it, and read what it holds"
+    if kind in FOREIGN_TABLES:
         line = f"halfseen convert {shlex.quote(str(file))} --mapping-template --out cell.toml"
         return f"make a mapping of it: {line}"
-    if file.suffix in DATABASES:
-        url = shlex.quote(f"sql:{DATABASES[file.suffix]}:///{file}")
+    if kind in DATABASES:
+        url = shlex.quote(f"sql:{DATABASES[kind]}:///{file}")
         return f"read the database by its SELECTs: halfseen convert {url} --mapping cell.toml --out LOGS"
-    return "`halfseen convert --help` says which files are read"
+    return "`halfseen convert --help` says which files are read, by the end of their names"
 
 
 def refuse_no_folder(folder: Place) -> None:

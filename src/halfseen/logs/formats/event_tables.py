@@ -7,9 +7,9 @@ mapped or not. A trajectory without an ending was cut: "log ended".
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +22,25 @@ from halfseen.logs.formats import table_values
 from halfseen.logs.formats.bag_messages import Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
 from halfseen.logs.formats.ending_flags import are_flags, with_ending
-from halfseen.logs.formats.mapping import NUMBERS, Clock, Entry, EventMapping, read_event_mapping
+from halfseen.logs.formats.event_doubts import (
+    late_covariates,
+    refuse_respelled,
+    warn_of_early,
+    warn_of_late,
+    warn_of_reordered,
+    warn_of_respelled_events,
+    warn_of_rows_apart,
+    warn_of_running_clock,
+)
+from halfseen.logs.formats.mapping import NUMBERS, Ending, Entry, EventMapping, read_event_mapping
 from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells
-from halfseen.logs.formats.table_values import BEGIN_LIKE, Marks, Stamps
+from halfseen.logs.formats.table_values import Marks, Stamps
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.shapes import Int
 
 LOG_ENDED = "log ended"
 """Cause of the cut of a trajectory without an ending."""
-FEWEST_ON_ONE_CLOCK = 5
-"""Number of trajectories with several stages that show that a clock runs on across trajectories."""
 
 
 def read_event_table(
@@ -48,7 +56,7 @@ def read_event_table(
     ----------
     source
         A ``.csv``, ``.tsv``, ``.txt`` or ``.parquet`` file, several with the same columns, such as one per day, or an
-        Arrow table.
+        Arrow table. Without ``[trajectory]``, each of several files is a trajectory of its name.
     mapping
         File that maps columns.
     place
@@ -68,21 +76,22 @@ def read_event_table(
     cells = cells_of(place, source) if isinstance(source, pa.Table) else _read_files(source, wanted)
     cells, wanted = with_ending(cells, wanted, file)
     _check_columns(cells, wanted, file)
+    warn_of_respelled_events(cells, wanted)
     cells = cells if wanted.topic is None else _without_repeats(cells)
-    needed = {name: _origin(wanted, f"covariates.{name}") for name in wanted.covariates}
+    needed = {name: wanted.origin(f"covariates.{name}") for name in wanted.covariates}
     late: Counter[str] = Counter()
     finishing, remedy = wanted.ending.finishing, _remedy_after_ending(cells, wanted)
     found = []
     for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
-        late.update(_late_covariates(events))
+        late.update(late_covariates(events))
         called = number if name is None else name
         trajectory = Trajectory(called, needed, finishing, cause=LOG_ENDED, remedy=remedy)
         trajectory.follow(events)
         if is_seen(Path(cells.file), trajectory):
             found.append(trajectory)
-    _warn_of_late(cells, wanted, late)
+    warn_of_late(cells, wanted, late)
     if wanted.clock.since == "trajectory":
-        _warn_of_running_clock(cells, wanted.clock, found)
+        warn_of_running_clock(cells, wanted.clock, found)
     return logs_of(cells.file, file, found, missing=missing)
 
 
@@ -93,18 +102,14 @@ def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> C
     tables = [read_cells(file, mapping.table) for file in source]
     first, *others = tables
     for each in others:
-        if list(each.columns) != list(first.columns) or each.layout.separator != first.layout.separator:
-            names = ", ".join(map(shown, each.columns))
-            raise LogError(f"{each.file}: its columns are {names}, and not those of {first.file}; convert each alone")
+        differing = sorted(each.columns.keys() ^ first.columns.keys())
+        if differing or each.layout.separator != first.layout.separator:
+            names = ", ".join(map(shown, differing)) or f"separated by {each.layout.separator!r}"
+            raise LogError(f"{each.file}: its columns are not those of {first.file} ({names}); convert each alone")
     columns = {name: [text for each in tables for text in each.columns[name]] for name in first.columns}
     places = [f"{Path(each.file).name}, {each.word} {row}" for each in tables for row in each.rows]
-    return Cells(str(source[0].parent), columns, places, first.layout, "file")
-
-
-def _origin(mapping: EventMapping, key: str) -> str:
-    """Source of a value for messages: its events, or its column."""
-    topics = mapping.entries[key].topics
-    return " or ".join(map(shown, topics)) if topics else f"column {mapping.column(key)!r}"
+    unread = {name: kind for each in tables for name, kind in each.unread.items()}
+    return Cells(str(source[0].parent), columns, places, first.layout, "file", unread)
 
 
 def _remedy_after_ending(cells: Cells, mapping: EventMapping) -> str:
@@ -114,8 +119,9 @@ def _remedy_after_ending(cells: Cells, mapping: EventMapping) -> str:
         return f'column {column!r} is true or false, so say finished = {{field = "{column}"}} in [ending]'
     if mapping.trajectory is None:
         return "map [trajectory], the column of its name or the event that begins it, if there are several"
-    last = "the ending must be last by the clock"
-    return f"{last}; mend the times, or have {_origin(mapping, 'trajectory')} tell the trajectories apart"
+    last = "the ending must be last by the clock; mend the times"
+    last += "" if mapping.topic is not None else f", leave column {column!r} empty in all rows but the last"
+    return f"{last}, or have {mapping.origin('trajectory')} tell the trajectories apart"
 
 
 def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
@@ -156,7 +162,8 @@ def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tu
     values_of = _values(cells, mapping, marks)
     has_begins, since, ending_texts = mapping.has_begins, mapping.clock.since, cells.columns[mapping.column("ending")]
     groups = _groups(cells, mapping, values_of, stamps)
-    _warn_of_reordered(cells, groups.values(), stamps, mapping)
+    warn_of_rows_apart(cells, groups, mapping)
+    warn_of_reordered(cells, groups, stamps, mapping)
     for name, unordered in groups.items():
         rows, times = _in_order(unordered, stamps, mapping)
         events = [] if begins is None or has_begins else [Event(int(begins[rows[0]]), "begin", None)]
@@ -170,7 +177,7 @@ def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tu
         if not has_begins:
             yield name, events
             continue
-        _warn_of_early(cells, events)
+        warn_of_early(cells, events)
         for begun, following in split(Path(cells.file), [events], mapping.column("trajectory"), file):
             yield begun, following if since is None else [Event(0, "begin", None), *following]
 
@@ -225,6 +232,7 @@ def _rows_that_tell(cells: Cells, mapping: EventMapping, key: str) -> list[int]:
 def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int], marks: Marks) -> list[Any]:
     """Read the cells of one column: numbers, or names, as whole numbers if all are; a covariate may be null."""
     texts, known, is_covariate = cells.columns[column], entry.values, "." in key
+    refuse_respelled(cells, rows, column, [*known, *(entry.finishing if isinstance(entry, Ending) else ())])
     first = next((known.get(texts[row], texts[row]) for row in rows if texts[row]), "")
     has_text = any(
         isinstance(value, str) and table_values.plain_number(value, marks) is None for value in known.values()
@@ -247,8 +255,10 @@ def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int]
     if is_covariate:
         return [str(known[text]) if (text := texts[row]) in known else text or None for row in rows]
     names = [str(known.get(texts[row], texts[row])) for row in rows]
-    are_whole = key != "ending" and all(map(table_values.WHOLE.fullmatch, names))
-    return list(map(int, names)) if are_whole else names
+    if key == "ending":
+        return names
+    table_values.refuse_rounded(cells, rows, column)
+    return table_values.whole_numbers(names) or names
 
 
 def _groups(
@@ -258,8 +268,10 @@ def _groups(
     steps = np.diff(stamps)
     is_newest_first = mapping.clock.since is None and bool((steps <= 0).all() and (steps < 0).any())
     order = range(len(stamps))[:: -1 if is_newest_first else 1]
-    if mapping.trajectory is None or mapping.has_begins:
+    if mapping.has_begins or (mapping.trajectory is None and cells.word != "file"):
         return {None: list(order)}
+    if mapping.trajectory is None:
+        return {name: list(rows) for name, rows in groupby(order, lambda row: str(cells.rows[row]).rpartition(", ")[0])}
     column = mapping.column("trajectory")
     texts = cells.columns[column]
     rows = [row for row in order if texts[row] or values_of[row]]
@@ -276,51 +288,3 @@ def _in_order(rows: list[int], stamps: Stamps, mapping: EventMapping) -> tuple[l
         return rows, np.cumsum(times)
     order = np.argsort(times, kind="stable") if since is None or not mapping.has_begins else np.arange(len(rows))
     return [rows[k] for k in order.tolist()], times[order]
-
-
-def _warn_of_reordered(cells: Cells, groups: Iterable[list[int]], stamps: Stamps, mapping: EventMapping) -> None:
-    if mapping.clock.since == "stage" or (mapping.clock.since is not None and mapping.has_begins):
-        return
-    late = [rows[k + 1] for rows in groups for k in np.flatnonzero(np.diff(stamps[rows]) < 0).tolist()]
-    if late:
-        rest = f"; so it is in {len(late):,} rows" if len(late) > 1 else ""
-        early = f"the time is before that of the row above{rest}"
-        warn(cells.place(late[0]), f"{early}; rows are put in order of time")
-
-
-def _late_covariates(events: list[Event]) -> Iterator[str]:
-    """Keys of covariates with the time of an action that come after it in the file."""
-    begun_ns: int | None = None
-    for event in events:
-        if event.key in ("action", "reward", "ending"):
-            begun_ns = event.stamp_ns if event.key == "action" else None
-        elif event.key.startswith("covariates.") and event.stamp_ns == begun_ns:
-            yield event.key
-
-
-def _warn_of_late(cells: Cells, mapping: EventMapping, late: Counter[str]) -> None:
-    if late:
-        names = ", ".join(_origin(mapping, key) for key in late)
-        warn(
-            cells.file,
-            f"{late.total():,} values of {names} stand at the time of an action, but after it in the file: the value "
-            "before was taken; write them before the action if they had been seen by then",
-        )
-
-
-def _warn_of_running_clock(cells: Cells, clock: Clock, found: list[Trajectory]) -> None:
-    """Warn about one clock for all trajectories if times should count from the beginning of each."""
-    spans = sorted((each.end_s, each.stages[0]["elapsed_s"]) for each in found if len(each.stages) > 1)
-    if len(spans) >= FEWEST_ON_ONE_CLOCK and all(end_s < first_s for (end_s, _), (_, first_s) in pairwise(spans)):
-        begin = next(filter(BEGIN_LIKE.search, cells.columns), "COLUMN")
-        warn(
-            f"{cells.file}, column {clock.fields[-1]!r}",
-            'times run on over trajectories, and do not count since each began; in place of since = "trajectory", say '
-            f'begin = "{begin}", the column of the time at which a stage began, with that of its end as field',
-        )
-
-
-def _warn_of_early(cells: Cells, events: list[Event]) -> None:
-    num_early = next((k for k, event in enumerate(events) if event.key == "trajectory"), 0)
-    if num_early:
-        warn(cells.file, f"{num_early} values come before the first beginning of a trajectory; they are left out")

@@ -42,8 +42,8 @@ _LIKE = {
 """Patterns of column names for each key, in the order in which columns are assigned, as engineers write them in
 German, English, French, Spanish or Italian."""
 _EVENTS_LIKE = {
-    "trajectory": r"^(start|begin|anfang|début|inicio|inizio)",
-    "ending": r"^end|^fine?$|stop|finish|fertig|abbruch|not-?halt|arrêt|parada|arresto",
+    "trajectory": r"^(start|begin|anfang|début|inicio|inizio)|[^a-z](start(ed)?|begin|begun|anfang)$",
+    "ending": r"^end|[^a-z]end(e|ed)?$|^fine?$|stop|finish|fertig|abbruch|not-?halt|arrêt|parada|arresto",
     "reward": r"reward|ertrag|place|ablage|abgelegt|result|ergebnis|drop|success|^n?ok$|^(n\.?)?i\.?o\.?$"
     r"|dépo|depó|depos|résult",
     "action": r"griff|greif|pick|gras?p|grip|a[kc]tion|prise|agarre|presa|acción|azione",
@@ -158,6 +158,8 @@ def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, l
     yield f"# What the columns of {file} carry, for: halfseen convert {shlex.quote(file)} --mapping THIS --out LOGS"
     yield "# Each guess is marked: check it, mend it, complete what is missing, and leave out what is not recorded."
     topics = list(dict.fromkeys(cells.columns[found["topic"]])) if "topic" in found else []
+    if side_by_side := _side_by_side(cells, found):
+        yield f"# {', '.join(map(shown, side_by_side))} look like stages side by side: write one row a stage first."
     if topics:
         yield from ("", "# Column of what happened, one row an event; without it each row is a stage.")
         yield f"topic = {_guess(cells, found['topic'])}"
@@ -171,7 +173,7 @@ def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, l
         if cells.layout.heading > 1:
             yield f"heading = {cells.layout.heading}  # guess: the line that names the columns"
     yield from ("", "[clock]", *_clock_lines(cells, found, bool(topics), parts))
-    like = {key: [one for one in topics if re.search(words, one, re.IGNORECASE)] for key, words in _EVENTS_LIKE.items()}
+    like = _events_like(topics)
     for key in ("trajectory", "action", "object", "probability", "reward", "ending"):
         topic = [] if key == "trajectory" and key in found else like.get(key, [])
         if key == "ending" and "ending.finished" in found and not topic:
@@ -180,6 +182,14 @@ def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, l
             yield from ("", *_entry_lines(cells, key, found, topic))
     taken = {one for each in like.values() for one in each}
     yield from _covariate_lines(cells, found, [one for one in topics if one not in taken])
+
+
+def _events_like(topics: list[str]) -> dict[str, list[str]]:
+    """The events of each key; one of an action's result is no action, and one of its beginning or end no ending."""
+    like = {key: [one for one in topics if re.search(words, one, re.IGNORECASE)] for key, words in _EVENTS_LIKE.items()}
+    for key, other in (("action", "reward"), ("trajectory", "action"), ("ending", "action")):
+        like[key] = [one for one in like[key] if one not in like[other]] or like[key]
+    return like
 
 
 def _decimal_line(cells: Cells) -> str:
@@ -198,8 +208,7 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
     yield f"field = {_guessed_time(cells, name, parts)}"
     formats = _date_formats(cells.columns[name])
     if not formats:
-        unit = re.search(r"(?<![a-z])(ms|us|ns|min|s)\W*$", name)
-        yield f'unit = "{unit[1] if unit else "s"}"  # guess: s, ms, us, ns or min'
+        yield f'unit = "{_unit(name, cells.columns[name])}"  # guess: s, ms, us, ns, min, h or d'
         begin = found.get("clock.begin")
         since = 'since = "trajectory"  # guess: numbers count from there, or from the "stage"'
         yield ("# " if has_topic else "") + since if begin is None else _begin_line(cells, begin, parts)
@@ -217,6 +226,13 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
         yield "# Column of the time at which a stage began."
         begin = found.get("clock.begin")
         yield ('# begin = "COLUMN"  # no column looks like it' if begin is None else _begin_line(cells, begin, parts))
+
+
+def _unit(name: str, texts: Sequence[str]) -> str:
+    """The unit of a column's name; or days, where a spreadsheet wrote dates as numbers of days since 1900."""
+    unit = re.search(r"(?<![a-z])(ms|us|ns|min|s|h)\W*$", name)
+    are_days = all(re.fullmatch(r"[2-7]\d{4}[.,]\d+", text) for text in texts)
+    return unit[1] if unit else "d" if are_days else "s"
 
 
 def _begin_line(cells: Cells, begin: str, parts: dict[str, list[str]]) -> str:
@@ -284,9 +300,18 @@ def _rows(cells: Cells, found: dict[str, str], topic: list[str]) -> list[int]:
     return [row for row in range(len(cells.rows)) if not topic or cells.columns[found["topic"]][row] in topic]
 
 
+def _side_by_side(cells: Cells, found: dict[str, str]) -> list[str]:
+    """Columns of text whose names differ from that of the action only in a number; none without others."""
+    alike = [
+        name for name in cells.columns if re.sub(r"\d+", "#", name) == re.sub(r"\d+", "#", found.get("action", ""))
+    ]
+    return [] if len(alike) < 2 or any(map(is_numeric, filter(None, cells.columns[alike[1]]))) else alike
+
+
 def _filled(cells: Cells, found: dict[str, str], key: str, rows: list[int]) -> str | None:
     """A column that is filled in all given rows: the one found for the key, or else the first."""
     others = {found.get(other) for other in ("topic", "clock.field", "trajectory") if other != key}
+    others |= {name for name, texts in cells.columns.items() if len(texts) > 1 and len(set(texts)) == 1}
     ways = [name for name in cells.columns if name not in others and all(cells.columns[name][row] for row in rows)]
     numeric = [name for name in ways if all(is_numeric(cells.columns[name][row]) for row in rows)]
     texts = [name for name in ways if name not in numeric]
