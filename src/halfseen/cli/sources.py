@@ -158,12 +158,12 @@ def read(kind: str, source: str, how: Reading, missing: str | None = None) -> "L
         "parquet": lambda: read_logs(source, missing=missing),
         "csv": lambda: formats.read_csv(source, missing=missing),
         "older": lambda: formats.read_older(place_of(source)),
-        "bag": lambda: _read_bags(_bags(Path(source)), how),
+        "bag": lambda: _read_bags(_bags(Path(source)), how, missing),
         "sql": lambda: _read_sql(source.removeprefix(SQL), how, missing),
-        "minari": lambda: formats.read_minari(source.removeprefix(MINARI), **timed),
-        "lerobot": lambda: formats.read_lerobot(source, rules),
-        "hdf5": lambda: formats.read_step_arrays(source, rules),
-        "steps": lambda: formats.read_steps(_step_files(Path(source)), rules),
+        "minari": lambda: formats.read_minari(source.removeprefix(MINARI), **timed, missing=missing),
+        "lerobot": lambda: formats.read_lerobot(source, rules, missing=missing),
+        "hdf5": lambda: formats.read_step_arrays(source, rules, missing=missing),
+        "steps": lambda: formats.read_steps(_step_files(Path(source)), rules, missing=missing),
         "events": lambda: _read_events(source, how, missing),
     }
     return readers[kind]()
@@ -208,7 +208,7 @@ def _read_events(source: str, how: Reading, missing: str | None) -> "Logs":
     return read_event_table(tables, how.mapping, missing=missing)
 
 
-def _read_bags(bags: list[Path], how: Reading) -> "Logs":
+def _read_bags(bags: list[Path], how: Reading, missing: str | None) -> "Logs":
     """Read bags; on request, detect the objects of each stage's cloud, and write the clouds to a folder."""
     from halfseen.logs.formats import read_bag
 
@@ -226,7 +226,7 @@ def _read_bags(bags: list[Path], how: Reading) -> "Logs":
             return count
 
         keep = None if how.clouds is None else counted(partial(_kept, how.clouds))
-        return read_bag(bags, how.mapping, see=counted(_see) if how.see else None, keep=keep)
+        return read_bag(bags, how.mapping, see=counted(_see) if how.see else None, keep=keep, missing=missing)
 
 
 def _kept(folder: Path, points_m: "np.ndarray", shape: tuple[int, int], name: str) -> str:

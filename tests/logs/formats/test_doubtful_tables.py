@@ -10,6 +10,7 @@ import pytest
 from event_files import AMERICAN, BEGUN, GERMAN, GERMAN_STAGES, HISTORIAN, PLC, STAGES, WIDE, ends, stages
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.logs.formats import mapping_of, read_event_table
+from halfseen.logs.missing import KEEP
 from refusals import refused
 
 ENDED = AMERICAN.replace('begin = "time"FORMAT', 'begin = "began", format = "FORMAT"')
@@ -165,10 +166,10 @@ WHOLE = {
 }
 
 
-def read_parquet(folder, **columns):
+def read_parquet(folder, missing=None, **columns):
     pq.write_table(pa.table(WHOLE | columns), folder / "t.parquet")
     (folder / "cell.toml").write_text(STAGES)
-    return read_event_table(folder / "t.parquet", folder / "cell.toml")
+    return read_event_table(folder / "t.parquet", folder / "cell.toml", missing=missing)
 
 
 @pytest.mark.parametrize(
@@ -251,3 +252,17 @@ def test_a_controllers_events_begin_trajectories_in_many_files_too(read_files):
     heading, *rows = PLC.splitlines(keepends=True)
     logs = read_files({"a.csv": heading + "".join(rows[:6]), "b.csv": heading + "".join(rows[6:])}, BEGUN)
     assert ends(logs) == [(1, 4.0, "finished", None), (2, 4.0, "cut", "log ended")]
+
+
+@pytest.mark.parametrize("words", [("true", "false"), ("True", "False"), ("TRUE", "FALSE")])
+def test_truth_values_are_no_categories(read_table, tmp_path, words):
+    yes, no = words
+    text = WIDE.replace("9.5", yes).replace(",8,", f",{no},")
+    logs = read_table(text.replace("6.25", no), STAGES)
+    assert logs.stages["left"].dtype == bool
+    assert logs.stages["left"].tolist() == [True, False, True, False]
+    assert (
+        read_parquet(tmp_path, **{"seconds left": [True, False, None]}, missing=KEEP).stages["left"].isna().sum() == 1
+    )
+    as_text = read_table(text.replace("6.25", no), STAGES.replace('left"}', 'left", type = "text"}'))
+    assert as_text.stages["left"].tolist() == [yes, no, yes, no]

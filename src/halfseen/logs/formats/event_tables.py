@@ -252,6 +252,9 @@ def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int]
             cells.refuse(row, column, f"is no {key}; give one, or leave the row out")
     if is_covariate and entry.type is None:
         table_values.refuse_most_numbers(cells, [row for row in rows if texts[row] not in known], column)
+    if is_covariate and entry.type is None and not known:
+        truths = table_values.truths([texts[row] for row in rows])
+        return truths or [texts[row] or None for row in rows]
     if is_covariate:
         return [str(known[text]) if (text := texts[row]) in known else text or None for row in rows]
     names = [str(known.get(texts[row], texts[row])) for row in rows]

@@ -39,8 +39,7 @@ _LIKE = {
     "ending": r"ende?$|ending|ergebnis|outcome|result|abbruch|schluss|stop|cause|grund|ursache|fault|fehler|stör|status"
     r"|^fine?$|résult|risult|causa|motif|arrêt|terminat|truncat",
 }
-"""Patterns of column names for each key, in the order in which columns are assigned, as engineers write them in
-German, English, French, Spanish or Italian."""
+"""Patterns of column names for each key, in order of assignment: German, English, French, Spanish, Italian."""
 _EVENTS_LIKE = {
     "trajectory": r"^(start|begin|anfang|début|inicio|inizio)|[^a-z](start(ed)?|begin|begun|anfang)$",
     "ending": r"^end|[^a-z]end(e|ed)?$|^fine?$|stop|finish|fertig|abbruch|not-?halt|arrêt|parada|arresto",
@@ -211,7 +210,7 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
         yield f'unit = "{_unit(name, cells.columns[name])}"  # guess: s, ms, us, ns, min, h or d'
         begin = found.get("clock.begin")
         since = 'since = "trajectory"  # guess: numbers count from there, or from the "stage"'
-        yield ("# " if has_topic else "") + since if begin is None else _begin_line(cells, begin, parts)
+        yield ("# " if has_topic else "") + since if begin is None else f"begin = {_guessed_time(cells, begin, parts)}"
         return
     if len(formats) > 1:
         yield "# The order of day and month is not to be guessed; choose one:"
@@ -225,7 +224,11 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
     if not has_topic:
         yield "# Column of the time at which a stage began."
         begin = found.get("clock.begin")
-        yield ('# begin = "COLUMN"  # no column looks like it' if begin is None else _begin_line(cells, begin, parts))
+        yield (
+            '# begin = "COLUMN"  # no column looks like it'
+            if begin is None
+            else f"begin = {_guessed_time(cells, begin, parts)}"
+        )
 
 
 def _unit(name: str, texts: Sequence[str]) -> str:
@@ -233,10 +236,6 @@ def _unit(name: str, texts: Sequence[str]) -> str:
     unit = re.search(r"(?<![a-z])(ms|us|ns|min|s|h)\W*$", name)
     are_days = all(re.fullmatch(r"[2-7]\d{4}[.,]\d+", text) for text in texts)
     return unit[1] if unit else "d" if are_days else "s"
-
-
-def _begin_line(cells: Cells, begin: str, parts: dict[str, list[str]]) -> str:
-    return f"begin = {_guessed_time(cells, begin, parts)}"
 
 
 def _guessed_time(cells: Cells, name: str, parts: dict[str, list[str]]) -> str:
@@ -302,9 +301,8 @@ def _rows(cells: Cells, found: dict[str, str], topic: list[str]) -> list[int]:
 
 def _side_by_side(cells: Cells, found: dict[str, str]) -> list[str]:
     """Columns of text whose names differ from that of the action only in a number; none without others."""
-    alike = [
-        name for name in cells.columns if re.sub(r"\d+", "#", name) == re.sub(r"\d+", "#", found.get("action", ""))
-    ]
+    stem, *others = (re.sub(r"\d+", "#", name) for name in (found.get("action", ""), *cells.columns))
+    alike = [name for name, other in zip(cells.columns, others, strict=True) if other == stem]
     return [] if len(alike) < 2 or any(map(is_numeric, filter(None, cells.columns[alike[1]]))) else alike
 
 

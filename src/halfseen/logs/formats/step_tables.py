@@ -25,6 +25,7 @@ from halfseen.logs.formats.quotes import check_quotes
 from halfseen.logs.formats.step_clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.steps import StepColumns, StepRules, StepTable, begins_of, refuse_early, require
 from halfseen.logs.logs import Logs
+from halfseen.logs.missing import Missing
 from halfseen.logs.parquet import parquet_file
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, opened_text, refused
 from halfseen.shapes import Bool, Float, Int, Shaped
@@ -37,7 +38,9 @@ _COMPRESSED = re.compile(rb"\x28\xb5\x2f\xfd|\x04\x22\x4d\x18", re.DOTALL)
 """First bytes of an Arrow buffer compressed by zstd or lz4; the eight bytes before are its uncompressed size."""
 
 
-def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None = None) -> Logs:
+def read_steps(
+    files: str | Path | Sequence[str | Path], rules: StepRules | None = None, *, missing: Missing = None
+) -> Logs:
     """Read a step table.
 
     Parameters
@@ -48,6 +51,8 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
         Columns of the action (default: ``action``), the reward (``reward``), whether the episode reached its own end
         (``is_terminal``) and the time of each row (default: every step counts as 1 s, with a warning); and the ending
         of an episode that did not reach its own.
+    missing
+        What replaces null in covariates, as in `Logs`.
 
     Returns
     -------
@@ -94,7 +99,7 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
         name = shown(names[int(np.argmax(wrong))])
         raise LogError(f"{place}, episode {name}: its last row terminates it and is not {LAST}; mend one of the two")
     endings = rules.endings(is_terminal[last], is_last[last])
-    return StepTable(names, begins, is_step, observed, actions, rewards[is_step], ends_s, endings).logs(place)
+    return StepTable(names, begins, is_step, observed, actions, rewards[is_step], ends_s, endings).logs(place, missing)
 
 
 def _episodes(steps: StepColumns, label: str | None) -> tuple[list[int | str], Int[np.ndarray, " E1"]]:

@@ -113,6 +113,13 @@ def whole_numbers(names: Sequence[str]) -> list[int] | None:
     return [int(each[1]) for each in found if each] if all(found) else None
 
 
+def truths(texts: Sequence[str]) -> list[bool | None] | None:
+    """Texts as truth values, an empty one as None; None unless all others are true or false."""
+    meant = {"true": True, "false": False, "": None}
+    lowered = [text.lower() for text in texts]
+    return [meant[text] for text in lowered] if any(texts) and all(text in meant for text in lowered) else None
+
+
 def refuse_rounded(cells: Cells, rows: Sequence[int], column: str) -> None:
     """Refuse a name in exponent notation, as spreadsheets round long numbers (`LogError`)."""
     row = next((row for row in rows if _ROUNDED.fullmatch(cells.columns[column][row])), None)
