@@ -224,6 +224,7 @@ def test_a_folder_of_tables_is_one_table(place):
     assert "days, file tuesday.csv, line 3, column 'Wert': 'much' is no number" in refusal(
         "days", "--mapping", "events.toml", "--out", "x"
     )
+    Path("days/._monday.csv").write_bytes(b"\0")  # as a Mac leaves beside each file on foreign disks
     Path("days/tuesday.csv").write_text("a;b\n1;2\n")
     assert "tuesday.csv: its columns are not those of days/monday.csv ('Ereignis', " in refusal(
         "days", "--mapping", "events.toml", "--out", "x"
@@ -256,6 +257,20 @@ def test_a_mapping_is_made_from_a_table_printed_or_written(place, typed):
     assert run("--mapping-template").output.startswith("# Which topic of a bag carries what")
     for words, message in (((), "Missing argument 'SOURCE...'"), (("plc.csv",), "Missing option '--out'")):
         assert message in typed("convert", *words).err
+
+
+def test_a_folder_of_tables_is_told_how_to_be_read(place, typed):
+    for name in ("a.txt", "b.txt"):
+        (place / "texts").mkdir(exist_ok=True)
+        (place / "texts" / name).write_text(GERMAN.replace(";7;", f";{name};"), encoding="utf-8")
+    (place / "cell.toml").write_text(HISTORIAN, encoding="utf-8")
+    assert "texts holds no logs; make a mapping of its tables: halfseen convert texts" in typed("inspect", "texts").err
+    (place / "above").mkdir()
+    (place / "texts").rename(place / "above" / "texts")
+    assert "above: it holds no tables or bags itself; give a folder of" in refusal(
+        "above", "--mapping", "cell.toml", "--out", "x"
+    )
+    assert "give a folder that Logs.write wrote" in typed("inspect", "above").err
 
 
 def test_who_has_a_table_and_no_mapping_hears_of_the_command_that_makes_one(place, typed):

@@ -81,6 +81,8 @@ def kind_of(source: str, is_mapped: bool = False) -> str:
     if _bags(path):
         return "bag"
     refuse_no_folder(path)
+    if is_mapped and not (path / "logs.json").exists():
+        raise LogError(f"{source}: it holds no tables or bags itself; give a folder of .csv, .tsv or .parquet files")
     return "parquet"
 
 
@@ -90,7 +92,7 @@ def _step_files(path: Path) -> list[Path]:
 
     if not path.is_dir():
         return [path] if path.suffix.lower() in TABLE_FILES else []
-    files = sorted(file for file in path.iterdir() if file.suffix.lower() in TABLE_FILES)
+    files = _shown_files(path, TABLE_FILES)
     return [] if any(file.stem in ("stages", "trajectories", "objects") for file in files) else files
 
 
@@ -100,7 +102,14 @@ def tables_of_events(path: Path) -> list[Path]:
         return [path]
     if _bags(path) or (path / "logs.json").exists():
         return []
-    return sorted(file for file in path.iterdir() if file.suffix.lower() in (".csv", ".tsv", ".parquet"))
+    return _shown_files(path, (".csv", ".tsv", ".parquet")) or _shown_files(path, (".txt",))
+
+
+def _shown_files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    """Files of a folder by the end of their names, in order; hidden files are passed over."""
+    return sorted(
+        file for file in folder.iterdir() if file.suffix.lower() in suffixes and not file.name.startswith(".")
+    )
 
 
 def _bags(path: Path) -> list[Path]:

@@ -173,7 +173,7 @@ def read_manifest(folder: Place) -> Folder:
     """
     refuse_no_folder(folder)
     file = folder / MANIFEST
-    missing = f"it is missing, so {folder} holds no logs; give a folder that Logs.write wrote"
+    missing = f"it is missing, so {folder} holds no logs; {_way_to(folder)}"
     with refused(file, "it cannot be read", "write the logs again", missing), asking(folder):
         manifest = json_of(read_text(file) if isinstance(file, Path) else file.read_text(encoding="utf-8"))
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
@@ -190,6 +190,13 @@ def read_manifest(folder: Place) -> Folder:
     if not is_right or not all(isinstance(num, int) and num >= 0 for num in rows.values()):
         raise LogError(f"{file}: rows {repr(rows)[:80]} does not count stages and trajectories; write the logs again")
     return Folder(folder, rows, unit)
+
+
+def _way_to(folder: Place) -> str:
+    """Hint at the command that reads a folder which holds no logs."""
+    has_tables = isinstance(folder, Path) and any(file.suffix.lower() in FOREIGN_TABLES for file in folder.iterdir())
+    line = f"halfseen convert {shlex.quote(str(folder))} --mapping-template --out cell.toml"
+    return f"make a mapping of its tables: {line}" if has_tables else "give a folder that Logs.write wrote"
 
 
 def _way_in(file: Path) -> str:

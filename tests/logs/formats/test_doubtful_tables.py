@@ -266,3 +266,36 @@ def test_truth_values_are_no_categories(read_table, tmp_path, words):
     )
     as_text = read_table(text.replace("6.25", no), STAGES.replace('left"}', 'left", type = "text"}'))
     assert as_text.stages["left"].tolist() == [yes, no, yes, no]
+
+
+def test_files_without_rows_are_passed_over_with_a_warning(read_files):
+    heading = WIDE.splitlines()[0]
+    with pytest.warns(
+        HalfseenWarning, match=r"b\.csv: 2 of 3 files have no rows, and are passed over; this is the first"
+    ):
+        logs = read_files({"a.csv": WIDE, "b.csv": f"{heading}\n", "c.csv": ""}, STAGES)
+    assert stages(logs) == stages(read_files({"a.csv": WIDE}, STAGES))
+    with (
+        pytest.warns(HalfseenWarning, match="1 of 1 files"),
+        refused("none of its tables has a row; give one at least"),
+    ):
+        read_files({"b.csv": heading}, STAGES)
+
+
+def test_a_minus_of_typesetters_is_one(read_table):
+    logs = read_table(WIDE.replace("9.5", "\u22129.5").replace("-1", "\u22121"), STAGES)
+    assert logs.stages["left"].tolist() == [-9.5, 8.0, -9.5, 6.25]
+    assert logs.stages["reward"].tolist()[1] == -1.0
+
+
+@pytest.mark.parametrize("cell", ["1.76441E+10", "1.764405e+09", "2E7"])
+def test_times_of_few_digits_are_warned_of(read_table, cell):
+    text = WIDE.replace("1500", cell).replace("4000", f"9{cell[1:]}")
+    with pytest.warns(HalfseenWarning, match=r"column 'ms': times such as .* are rounded; export them with all digits"):
+        read_table(text, STAGES)
+    assert read_table(WIDE.replace("1500", "1.5e3"), STAGES).elapsed_s()[0, 0] == 1.5
+
+
+def test_named_months_are_guessed(tmp_path):
+    (tmp_path / "t.csv").write_text("run;time;tool;worth\n1;26-NOV-25 10:00:00;a;1\n1;26-NOV-25 10:00:05;b;2\n")
+    assert 'format = "%d-%b-%y %H:%M:%S"  # guess' in mapping_of(tmp_path / "t.csv").splitlines()

@@ -1,5 +1,6 @@
 """Doubts about tables of events and of stages: what is legal and probably not meant."""
 
+import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -16,12 +17,20 @@ from halfseen.logs.formats.table_cells import Cells
 from halfseen.logs.formats.table_values import BEGIN_LIKE, Stamps
 from halfseen.suggestions import folded
 
+_ROUNDED = re.compile(r"-?\d([.,]\d+)?[eE]\+\d+")
 FEWEST_ON_ONE_CLOCK = 5
 """Number of trajectories with several stages that show that a clock runs on across trajectories."""
 
 
 Groups: TypeAlias = Mapping[Any, list[int]]
 """Rows by the name of their trajectory."""
+
+
+def refuse_rounded(cells: Cells, rows: Sequence[int], column: str) -> None:
+    """Refuse a name in exponent notation, as spreadsheets round long numbers (`LogError`)."""
+    row = next((row for row in rows if _ROUNDED.fullmatch(cells.columns[column][row])), None)
+    if row is not None:
+        cells.refuse(row, column, "is a rounded number, for which several names may stand; export the column as text")
 
 
 def refuse_respelled(cells: Cells, rows: Sequence[int], column: str, known: Collection[str]) -> None:

@@ -21,10 +21,11 @@ from halfseen.logs.columns import shown
 from halfseen.logs.formats import table_values
 from halfseen.logs.formats.bag_messages import Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
-from halfseen.logs.formats.ending_flags import are_flags, with_ending
+from halfseen.logs.formats.ending_flags import are_flags, truths, with_ending
 from halfseen.logs.formats.event_doubts import (
     late_covariates,
     refuse_respelled,
+    refuse_rounded,
     warn_of_early,
     warn_of_late,
     warn_of_reordered,
@@ -33,7 +34,7 @@ from halfseen.logs.formats.event_doubts import (
     warn_of_running_clock,
 )
 from halfseen.logs.formats.mapping import NUMBERS, Ending, Entry, EventMapping, read_event_mapping
-from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells
+from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells, refuse_empty
 from halfseen.logs.formats.table_values import Marks, Stamps
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
@@ -74,7 +75,7 @@ def read_event_table(
     """
     wanted, file = read_event_mapping(mapping), str(mapping)
     cells = cells_of(place, source) if isinstance(source, pa.Table) else _read_files(source, wanted)
-    cells, wanted = with_ending(cells, wanted, file)
+    cells, wanted = with_ending(refuse_empty(cells), wanted, file)
     _check_columns(cells, wanted, file)
     warn_of_respelled_events(cells, wanted)
     cells = cells if wanted.topic is None else _without_repeats(cells)
@@ -99,7 +100,12 @@ def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> C
     """Read one file, or several and concatenate their rows."""
     if isinstance(source, str | Path):
         return read_cells(Path(source), mapping.table)
-    tables = [read_cells(file, mapping.table) for file in source]
+    tables = [read_cells(file, mapping.table) for file in source if not file.is_file() or file.stat().st_size]
+    tables = [each for each in tables if len(each.rows)]
+    if empty := sorted({*map(str, source)} - {each.file for each in tables}):
+        warn(empty[0], f"{len(empty)} of {len(source)} files have no rows, and are passed over; this is the first")
+    if not tables:
+        raise LogError(f"{source[0].parent}: none of its tables has a row; give one at least")
     first, *others = tables
     for each in others:
         differing = sorted(each.columns.keys() ^ first.columns.keys())
@@ -253,14 +259,13 @@ def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int]
     if is_covariate and entry.type is None:
         table_values.refuse_most_numbers(cells, [row for row in rows if texts[row] not in known], column)
     if is_covariate and entry.type is None and not known:
-        truths = table_values.truths([texts[row] for row in rows])
-        return truths or [texts[row] or None for row in rows]
+        return truths([texts[row] for row in rows]) or [texts[row] or None for row in rows]
     if is_covariate:
         return [str(known[text]) if (text := texts[row]) in known else text or None for row in rows]
     names = [str(known.get(texts[row], texts[row])) for row in rows]
     if key == "ending":
         return names
-    table_values.refuse_rounded(cells, rows, column)
+    refuse_rounded(cells, rows, column)
     return table_values.whole_numbers(names) or names
 
 

@@ -14,7 +14,7 @@ from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
 from halfseen.logs.formats.ending_flags import are_flags
 from halfseen.logs.formats.mapping import Layout
-from halfseen.logs.formats.table_cells import TYPED_FILES, Cells, heading_of, read_cells
+from halfseen.logs.formats.table_cells import TYPED_FILES, Cells, heading_of, read_cells, refuse_empty
 from halfseen.logs.formats.table_values import (
     BEGIN_LIKE,
     ISO,
@@ -58,8 +58,8 @@ _KNOWN_LATER = re.compile(f"{_LIKE['ending']}|{_END_TIME_LIKE.pattern}|^is_(firs
 """Pattern of columns that are no covariates because they are known only after the action."""
 _FINISHED_LIKE = re.compile(r"fertig|finish|done|complet|success|^ok$|^ende?$|termin|réussi", re.IGNORECASE)
 """Pattern of events and endings that are no cut."""
-_ISO_8601 = "ISO8601"
 _DAYS = ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y", "%d.%m.%y", "%d/%m/%y", "%m/%d/%y")
+_DAYS += ("%d-%b-%Y", "%d-%b-%y")
 _TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
 _ROWS_LOOKED_AT = 1000
 
@@ -87,12 +87,12 @@ def mapping_of(file: str | Path) -> str:
 def _read(file: Path) -> Cells:
     """Read a table whose heading may be below other lines, and find its thousands separator."""
     try:
-        cells = read_cells(file, Layout())
+        cells = refuse_empty(read_cells(file, Layout()))
     except LogError:
         heading = 1 if file.suffix in TYPED_FILES or not file.is_file() else heading_of(file)
         if heading == 1:
             raise
-        cells = read_cells(file, Layout(heading=heading))
+        cells = refuse_empty(read_cells(file, Layout(heading=heading)))
     return replace(cells, layout=msgspec.structs.replace(cells.layout, thousands=thousands_mark(cells)))
 
 
@@ -215,7 +215,7 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
     if len(formats) > 1:
         yield "# The order of day and month is not to be guessed; choose one:"
     yield from (
-        f"{'# ' if len(formats) > 1 else ''}format = {_quoted(one)}  # guess" for one in formats if one != _ISO_8601
+        f"{'# ' if len(formats) > 1 else ''}format = {_quoted(one)}  # guess" for one in formats if one != "ISO8601"
     )
     if all(map(TIME_OF_DAY.fullmatch, cells.columns[name])):
         yield "# They have no date: the next day begins where they fall back past midnight."
@@ -339,7 +339,7 @@ def _date_formats(texts: Sequence[str]) -> list[str]:
     """The date formats that fit all of the first texts; none if they are not dates."""
     some = pd.Series(list(dict.fromkeys(texts))[:_ROWS_LOOKED_AT], dtype=object)
     if some.map(lambda text: ISO.fullmatch(text) is not None).all():
-        return [_ISO_8601]
+        return ["ISO8601"]
     if ":" not in some.iloc[0]:
         return []
     days = [f"{day} {time}" for day in _DAYS for time in _TIMES]

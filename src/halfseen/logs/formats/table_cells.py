@@ -69,7 +69,7 @@ def is_event_table(file: Path, is_mapped: bool) -> bool:
 
 
 def read_cells(file: Path, layout: Layout) -> Cells:
-    """Read a text or Parquet file.
+    """Read a text or Parquet file; it may have no rows.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def cells_of(place: str, table: pa.Table) -> Cells:
     Raises
     ------
     LogError
-        A name is empty or repeated, or there is no row.
+        A name is empty or repeated.
     """
     columns, unread = {}, {}
     for name, column in zip(table.column_names, table.columns, strict=True):
@@ -200,6 +200,11 @@ def _checked(cells: Cells, names: list[str]) -> Cells:
     refuse_repeated(cells.file, names)
     if "" in names:
         raise LogError(f"{cells.file}: column {names.index('') + 1} has no name; give it one, or say table.heading")
+    return cells
+
+
+def refuse_empty(cells: Cells) -> Cells:
+    """Refuse a table without rows (`LogError`)."""
     if not len(cells.rows):
         raise LogError(f"{cells.file}: there is no row below the heading; give a table with one at least")
     return cells

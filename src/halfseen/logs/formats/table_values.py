@@ -20,7 +20,7 @@ from halfseen.shapes import Int
 
 WHOLE = re.compile(r"-?(0|[1-9][0-9]{0,17})")
 _WHOLE_AS_FRACTION = re.compile(rf"({WHOLE.pattern})([.,]0+)?")
-_ROUNDED = re.compile(r"-?\d([.,]\d+)?[eE]\+\d+")
+_OF_FEW_DIGITS = re.compile(r"\d([.,]\d{1,6})?[eE]\+?(0?[7-9]|[1-9]\d)")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d{1,3})?")
 _FRACTION = {mark: re.compile(rf"[-+]?\d*{re.escape(mark)}\d+([eE][-+]?\d+)?") for mark in ".,"}
 _IN_THOUSANDS = {mark: re.compile(rf"[-+]?[1-9]\d{{0,2}}({re.escape(mark)}\d{{3}})+") for mark in ".,"}
@@ -97,7 +97,7 @@ def is_numeric(cell: str) -> bool:
 
 def plain_number(cell: str, marks: Marks) -> str | None:
     """A number as Python writes it; None if the cell is not a number with these marks."""
-    whole, mark, rest = cell.partition(marks.decimal)
+    whole, mark, rest = cell.replace("\u2212", "-").partition(marks.decimal)
     if marks.thousands:
         between = _BETWEEN[marks.thousands]
         if re.fullmatch(rf"[-+]?[1-9]\d{{0,2}}({between}\d{{3}})+", whole):
@@ -111,20 +111,6 @@ def whole_numbers(names: Sequence[str]) -> list[int] | None:
     """Names as whole numbers, also where fractions of 0 were added to them; None unless all are."""
     found = [_WHOLE_AS_FRACTION.fullmatch(name) for name in names]
     return [int(each[1]) for each in found if each] if all(found) else None
-
-
-def truths(texts: Sequence[str]) -> list[bool | None] | None:
-    """Texts as truth values, an empty one as None; None unless all others are true or false."""
-    meant = {"true": True, "false": False, "": None}
-    lowered = [text.lower() for text in texts]
-    return [meant[text] for text in lowered] if any(texts) and all(text in meant for text in lowered) else None
-
-
-def refuse_rounded(cells: Cells, rows: Sequence[int], column: str) -> None:
-    """Refuse a name in exponent notation, as spreadsheets round long numbers (`LogError`)."""
-    row = next((row for row in rows if _ROUNDED.fullmatch(cells.columns[column][row])), None)
-    if row is not None:
-        cells.refuse(row, column, "is a rounded number, for which several names may stand; export the column as text")
 
 
 def number_at(cells: Cells, row: int, column: str, marks: Marks) -> float:
@@ -338,6 +324,9 @@ def _dates(cells: Cells, column: str, written: Any, clock: Clock, is_zoned: bool
 
 
 def _counted(cells: Cells, column: str, factor: int, marks: Marks) -> Stamps:
+    rounded = next((cell for cell in cells.columns[column] if _OF_FEW_DIGITS.fullmatch(cell)), None)
+    if rounded is not None:
+        warn(f"{cells.file}, column {column!r}", f"times such as {rounded!r} are rounded; export them with all digits")
     stamps = np.zeros(len(cells.rows), dtype=np.int64)
     for row, cell in enumerate(cells.columns[column]):
         if (number := plain_number(cell, marks)) is None:
