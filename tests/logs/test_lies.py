@@ -137,10 +137,12 @@ def test_a_covariate_that_foretells_much_and_was_known_before_raises_no_doubt():
         ("colour", pd.Categorical(["red", "blue"] * 60), set()),
         ("mass", pd.array([f"{k},5" for k in range(120)], dtype="string"), {"number-as-text"}),
         ("level", [f"{k % 4}.5" for k in range(120)], {"number-as-text"}),
+        ("lamp", ["on", "nan", "off", " NULL"] * 30, {"missing-as-text"}),
+        ("tool", ["none", "NA", "a", "b"] * 30, set()),
         ("floor", [f"{k % 4}" for k in range(120)], set()),
         ("probability", np.full(120, 1e-300), {"untrue-probability"}),
     ],
-    ids=["boolean", "bool", "Int64", "category", "string", "fractions", "digits", "tiny"],
+    ids=["boolean", "bool", "Int64", "category", "string", "fractions", "missing", "names", "digits", "tiny"],
 )
 def test_columns_of_all_kinds_are_looked_at_without_a_warning(name, values, kind):
     rng, num = np.random.default_rng(0), 120

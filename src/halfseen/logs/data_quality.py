@@ -43,6 +43,8 @@ FEWEST_IN_STATE, FEWEST_STAGES, RARE_SHARE = 50, 200, 0.01
 SAME_END, NEARLY_ALL, NUM_NAMED, MOST_SPELLINGS = 0.01, 0.99, 3, 1000
 AS_NUMBER = r"[+-]?(?:\d{1,3}(?:[.,'\u2019 ]\d{3})+(?:[.,]\d+)?|\d*[.,]\d+)"
 """A fraction, or a number with thousands separators."""
+READ_AS_MISSING = {"nan", "<na>", "null", "n/a", "#n/a", "#nv", "nat"}
+"""Texts, in lower case, that programs write for what is missing; none and NA are names, too."""
 NAMES_OF_ENDS = {
     *("finished", "finish", "done", "success", "succeeded", "complete", "completed"),
     *("goal", "goal-reached", "cleared", "terminated", "terminal", "ok"),
@@ -166,6 +168,17 @@ def _numbers_as_text(logs: Logs) -> Iterator[str]:
             yield (
                 f"{name} is text that reads as numbers, such as {shown(text[is_number].iloc[0])}, and each is taken "
                 "for a category: write them as numbers, with a decimal point and without separators"
+            )
+
+
+def _missing_as_text(logs: Logs) -> Iterator[str]:
+    for name, values, _ in covariate_columns(logs):
+        text = _texts(values)
+        is_missing = text.map(lambda each: each.strip().lower() in READ_AS_MISSING).astype(bool)
+        if is_missing.any():
+            yield (
+                f"{name} is {shown(text[is_missing].iloc[0])} in {is_missing.sum()} of {len(values)} rows, and that is "
+                "taken for a category: where nothing was seen, leave it empty, and say by --missing what stands for it"
             )
 
 
@@ -310,6 +323,7 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "text-order": _text_order,
     "identifier": _identifiers,
     "number-as-text": _numbers_as_text,
+    "missing-as-text": _missing_as_text,
     "one-action": _one_action,
     "no-alternative": _no_alternative,
     "end-among-causes": _ends_among_causes,
