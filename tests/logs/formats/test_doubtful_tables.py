@@ -299,3 +299,12 @@ def test_times_of_few_digits_are_warned_of(read_table, cell):
 def test_named_months_are_guessed(tmp_path):
     (tmp_path / "t.csv").write_text("run;time;tool;worth\n1;26-NOV-25 10:00:00;a;1\n1;26-NOV-25 10:00:05;b;2\n")
     assert 'format = "%d-%b-%y %H:%M:%S"  # guess' in mapping_of(tmp_path / "t.csv").splitlines()
+
+
+def test_one_byte_of_another_encoding_does_not_change_all_other_letters(read_table):
+    content = GERMAN.encode() + "2025-10-26T02:21:00+01:00;9;Störung;;\n".encode("cp1252")
+    with refused(r"line 15: bytes b'\\xf6' are no UTF-8, though other bytes are; mend them, or say table\.encoding"):
+        read_table(content, HISTORIAN)
+    said = HISTORIAN + 'table = {encoding = "cp1252"}'
+    assert read_table(content, said).stages["action"].tolist()[0] == "S\u00c3\u00a4ule"
+    assert read_table(GERMAN.encode("cp1252"), HISTORIAN).stages["action"].tolist()[0] == "column"

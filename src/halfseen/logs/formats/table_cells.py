@@ -29,6 +29,8 @@ from halfseen.reading import TABLE, opened, reason_of
 TEXT_FILES, TYPED_FILES, SHEETS = (".csv", ".tsv", ".txt"), (".parquet",), (".xlsx", ".xls", ".ods")
 SEPARATORS = (";", ",", "\t", "|")
 ROWS_LOOKED_AT = 50
+_LATIN_IN_UTF_8 = re.compile(rb"\xc3[\x80-\xbf]")
+"""A letter with an accent in UTF-8, which in Windows-1252 is Ã and a sign."""
 
 
 @dataclass(frozen=True)
@@ -148,6 +150,9 @@ def _decoded(file: Path, content: bytes, encoding: str | None) -> tuple[str, str
             return content.decode(name), name
         except UnicodeDecodeError as error:
             trouble = f"line {content[: error.start].count(10) + 1}: bytes {content[error.start : error.end]!r}"
+            if name == "utf-8" and encoding is None and _LATIN_IN_UTF_8.search(content):
+                remedy = "mend them, or say table.encoding"
+                raise LogError(f"{file}, {trouble} are no UTF-8, though other bytes are; {remedy}") from error
     raise LogError(f"{file}, {trouble} are no {encoding or names[-1]}; say table.encoding, or export it as UTF-8")
 
 
