@@ -160,6 +160,22 @@ def evaluated(stages, trajectories, **options):
         return evaluate(FixedSequence(("vacuum",) * 5), logs, against="logging", **options)
 
 
+def test_the_number_of_a_row_is_no_covariate():
+    rng, num = np.random.default_rng(0), 40
+    seen = {
+        "trajectory": np.repeat(range(num), 6),
+        "stage": np.tile(range(1, 7), num),
+        "elapsed_s": np.tile(np.cumsum(rng.gamma(0.5, 1.0, 6)), num),
+    }
+    seen |= {"action": rng.choice(["A", "B"], 6 * num), "reward": rng.random(6 * num), "x": rng.random(6 * num)}
+    for row in (np.arange(6 * num), np.arange(6.0 * num)[::-1] + 7):
+        told = [each.sentence for each in data_warnings(log_of(**seen, row=row)) if each.kind == "identifier"]
+        assert told == ["covariate row numbers the rows, which tells nothing of the next one: leave it out"]
+    assert "identifier" not in {
+        each.kind for each in data_warnings(log_of(**seen, row=rng.permutation(960)[: 6 * num]))
+    }
+
+
 def test_no_verdict_rests_on_probabilities_that_nobody_had_unless_they_are_trusted():
     stages, trajectories = tables(1000)
     honest, told = evaluated(stages, trajectories), evaluated(stages.assign(probability=0.8125), trajectories)

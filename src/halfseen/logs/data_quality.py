@@ -145,11 +145,16 @@ def _identifiers(logs: Logs) -> Iterator[str]:
             continue
         values = stages[name].to_numpy(dtype=np.float64)
         first = values[is_first]
-        is_counted = (first % 1 == 0).all() and np.ptp(first) < 3.0 * len(first)
-        if is_counted and len(np.unique(first)) >= NEARLY_ALL * len(first):
-            yield f"covariate {name} numbers the trajectories, which tells nothing of the next one: leave it out"
+        numbered = next((what for what, of in {"trajectories": first, "rows": values}.items() if _is_count(of)), None)
+        if numbered is not None:
+            yield f"covariate {name} numbers the {numbered}, which tells nothing of the next one: leave it out"
         elif _is_clock(values - first[row], began_s):
             yield f"covariate {name} runs with the clock, which later trajectories have of their own: leave it out"
+
+
+def _is_count(values: Rows) -> bool:
+    is_dense = (values % 1 == 0).all() and np.ptp(values) < 3.0 * len(values)
+    return bool(is_dense and len(np.unique(values)) >= NEARLY_ALL * len(values))
 
 
 def _is_clock(since_first: Rows, began_s: Rows) -> bool:
