@@ -296,9 +296,19 @@ def test_times_of_few_digits_are_warned_of(read_table, cell):
     assert read_table(WIDE.replace("1500", "1.5e3"), STAGES).elapsed_s()[0, 0] == 1.5
 
 
-def test_named_months_are_guessed(tmp_path):
-    (tmp_path / "t.csv").write_text("run;time;tool;worth\n1;26-NOV-25 10:00:00;a;1\n1;26-NOV-25 10:00:05;b;2\n")
-    assert 'format = "%d-%b-%y %H:%M:%S"  # guess' in mapping_of(tmp_path / "t.csv").splitlines()
+@pytest.mark.parametrize(
+    ("time", "line"),
+    [
+        ("26-NOV-25 10:00:0{}", 'format = "%d-%b-%y %H:%M:%S"  # guess'),
+        ("11/26/2025 10:00:0{}.125 PM", 'format = "%m/%d/%Y %I:%M:%S.%f %p"  # guess'),
+        ("176440500000{}", 'unit = "ms"  # guess: s, ms, us, ns, min, h or d'),
+        ("176440500000{}000", 'unit = "us"  # guess: s, ms, us, ns, min, h or d'),
+        ("176440500{}.5", 'unit = "s"  # guess: s, ms, us, ns, min, h or d'),
+    ],
+)
+def test_times_of_other_programs_are_guessed(tmp_path, time, line):
+    (tmp_path / "t.csv").write_text(f"run;time;tool;worth\n1;{time.format(0)};a;1\n1;{time.format(5)};b;2\n")
+    assert line in mapping_of(tmp_path / "t.csv").splitlines()
 
 
 def test_one_byte_of_another_encoding_does_not_change_all_other_letters(read_table):

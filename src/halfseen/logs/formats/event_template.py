@@ -60,7 +60,7 @@ _FINISHED_LIKE = re.compile(r"fertig|finish|done|complet|success|^ok$|^ende?$|te
 """Pattern of events and endings that are no cut."""
 _DAYS = ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y", "%d.%m.%y", "%d/%m/%y", "%m/%d/%y")
 _DAYS += ("%d-%b-%Y", "%d-%b-%y")
-_TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
+_TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M %p")
 _ROWS_LOOKED_AT = 1000
 
 
@@ -232,16 +232,16 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
 
 
 def _unit(name: str, texts: Sequence[str]) -> str:
-    """The unit of a column's name; or days, where a spreadsheet wrote dates as numbers of days since 1900."""
+    """The unit of a column's name; or of dates as a spreadsheet counts them since 1900, or others since 1970."""
     unit = re.search(r"(?<![a-z])(ms|us|ns|min|s|h)\W*$", name)
     are_days = all(re.fullmatch(r"[2-7]\d{4}[.,]\d+", text) for text in texts)
-    return unit[1] if unit else "d" if are_days else "s"
+    lengths = {len(re.split("[.,]", text)[0]) for text in texts}
+    return unit[1] if unit else "d" if are_days else {13: "ms", 16: "us", 19: "ns"}.get(min(lengths), "s")
 
 
 def _guessed_time(cells: Cells, name: str, parts: dict[str, list[str]]) -> str:
     """The guessed columns of a time."""
-    columns = json.dumps(parts.get(name, name), ensure_ascii=False)
-    return _guess(cells, name).replace(_quoted(name), columns, 1)
+    return _guess(cells, name).replace(_quoted(name), json.dumps(parts.get(name, name), ensure_ascii=False), 1)
 
 
 def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]) -> Iterator[str]:
