@@ -259,6 +259,11 @@ def test_a_mapping_is_made_from_a_table_printed_or_written(place, typed):
         assert message in typed("convert", *words).err
 
 
+def test_several_tables_are_read_from_a_folder(place):
+    told = refusal("monday.csv", "tuesday.csv", "--mapping", "cell.toml", "--out", "x")
+    assert "--mapping is for one SOURCE, and 2 are given; put tables with the same columns, or bags, into one" in told
+
+
 def test_a_folder_of_tables_is_told_how_to_be_read(place, typed):
     for name in ("a.txt", "b.txt"):
         (place / "texts").mkdir(exist_ok=True)
