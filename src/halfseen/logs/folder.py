@@ -194,7 +194,11 @@ def read_manifest(folder: Place) -> Folder:
 
 def _way_to(folder: Place) -> str:
     """Hint at the command that reads a folder which holds no logs."""
-    has_tables = isinstance(folder, Path) and any(file.suffix.lower() in FOREIGN_TABLES for file in folder.iterdir())
+    try:
+        is_none = isinstance(folder, Path) and not (folder / MANIFEST).exists()
+        has_tables = is_none and any(file.suffix.lower() in FOREIGN_TABLES for file in folder.iterdir())
+    except OSError:  # the reader of the manifest tells of it
+        has_tables = False
     line = f"halfseen convert {shlex.quote(str(folder))} --mapping-template --out cell.toml"
     return f"make a mapping of its tables: {line}" if has_tables else "give a folder that Logs.write wrote"
 

@@ -128,7 +128,7 @@ def test_rows_of_one_name_that_stand_apart_are_warned_of(read_table, read_files)
         assert stages(read_table(mixed, HISTORIAN), "weight") == GERMAN_STAGES
 
 
-def test_each_of_several_files_is_a_trajectory_unless_a_column_tells(read_files):
+def test_each_of_several_files_is_a_trajectory_unless_a_column_tells(read_files, tmp_path):
     episode = "tool,seconds left,ms,worth,stop\nsoft,9,1500,1,\nsoft,8,{}\n"
     mapping = STAGES.replace('trajectory = {field = "run"}\n', "")
     logs = read_files({"ep1.csv": episode.format("2500,2,"), "ep2.csv": episode.format("3000,,halt")}, mapping)
@@ -140,6 +140,11 @@ def test_each_of_several_files_is_a_trajectory_unless_a_column_tells(read_files)
         ("ep2.csv", 2, None),
     ]
     assert ends(read_files({"ep1.csv": episode.format("2500,2,")}, mapping)) == [("ep1.csv", 2.5, "finished", None)]
+    for folder in ("monday", "tuesday"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "ep1.csv").write_text(episode.format("2500,2,"))
+    files = [tmp_path / folder / "ep1.csv" for folder in ("monday", "tuesday")]
+    assert read_event_table(files, tmp_path / "cell.toml").trajectory_ids.tolist() == list(map(str, files))
 
 
 def test_files_may_have_their_columns_in_another_order(read_files):

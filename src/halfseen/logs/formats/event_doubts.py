@@ -1,4 +1,4 @@
-"""Doubts about tables of events and of stages: what is legal and probably not meant."""
+"""Doubts about tables of events and of stages: refused where the log would be wrong, otherwise warned of."""
 
 import re
 from collections import Counter

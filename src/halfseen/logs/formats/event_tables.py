@@ -113,7 +113,9 @@ def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> C
             names = ", ".join(map(shown, differing)) or f"separated by {each.layout.separator!r}"
             raise LogError(f"{each.file}: its columns are not those of {first.file} ({names}); convert each alone")
     columns = {name: [text for each in tables for text in each.columns[name]] for name in first.columns}
-    places = [f"{Path(each.file).name}, {each.word} {row}" for each in tables for row in each.rows]
+    are_alone = len({Path(each.file).name for each in tables}) == len(tables)
+    names = [Path(each.file).name if are_alone else each.file for each in tables]
+    places = [f"{name}, {each.word} {row}" for name, each in zip(names, tables, strict=True) for row in each.rows]
     unread = {name: kind for each in tables for name, kind in each.unread.items()}
     return Cells(str(source[0].parent), columns, places, first.layout, "file", unread)
 

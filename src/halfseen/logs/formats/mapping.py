@@ -178,6 +178,7 @@ class Clock(msgspec.Struct, **Given):
     zone: str | None = None
     """Time zone of dates without one, such as ``Europe/Berlin``."""
     unit: Literal["s", "ms", "us", "ns", "min", "h", "d"] | None = None
+    """Unit of numeric times; ``d`` also for dates that a spreadsheet wrote as days since 1900."""
     since: Literal["trajectory", "stage"] | None = None
     """Origin of numeric times: the beginning of the trajectory or of the stage; None for a clock of their own."""
     begin: str | list[str] | None = None
