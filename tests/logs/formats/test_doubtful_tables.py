@@ -188,6 +188,9 @@ def read_parquet(folder, missing=None, **columns):
 )
 def test_a_column_without_a_text_form_is_passed_over_unless_it_is_mapped(tmp_path, values):
     assert ends(read_parquet(tmp_path, more=values)) == [("a", 4.0, "finished", None), ("b", 2.5, "cut", "operator")]
+    told = [line for line in mapping_of(tmp_path / "t.parquet").splitlines() if "which is not read" in line]
+    assert len(told) == 1
+    assert told[0].startswith("# Column 'more' holds ")
     for column, key in (("seconds left", r"covariates\.left\.field"), ("ms", r"clock\.field")):
         with refused(rf"cell\.toml, {key}: column '{column}' of .* holds (list|struct|duration|binary)", ArgumentError):
             read_parquet(tmp_path, **{column: values})

@@ -156,6 +156,7 @@ def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, l
     """Lines of the mapping."""
     yield f"# What the columns of {file} carry, for: halfseen convert {shlex.quote(file)} --mapping THIS --out LOGS"
     yield "# Each guess is marked: check it, mend it, complete what is missing, and leave out what is not recorded."
+    yield from (f"# Column {shown(name)} holds {kind}, which is not read." for name, kind in cells.unread.items())
     topics = list(dict.fromkeys(cells.columns[found["topic"]])) if "topic" in found else []
     if side_by_side := _side_by_side(cells, found):
         yield f"# {', '.join(map(shown, side_by_side))} look like stages side by side: write one row a stage first."
@@ -179,8 +180,7 @@ def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, l
             yield from ("", *_flag_lines(cells, found))
         elif key in found or topic or key in ("action", "reward", "ending"):
             yield from ("", *_entry_lines(cells, key, found, topic))
-    taken = {one for each in like.values() for one in each}
-    yield from _covariate_lines(cells, found, [one for one in topics if one not in taken])
+    yield from _covariate_lines(cells, found, [one for one in topics if not any(one in each for each in like.values())])
 
 
 def _events_like(topics: list[str]) -> dict[str, list[str]]:
