@@ -326,3 +326,50 @@ def test_one_byte_of_another_encoding_does_not_change_all_other_letters(read_tab
     said = HISTORIAN + 'table = {encoding = "cp1252"}'
     assert read_table(content, said).stages["action"].tolist()[0] == "S\u00c3\u00a4ule"
     assert read_table(GERMAN.encode("cp1252"), HISTORIAN).stages["action"].tolist()[0] == "column"
+
+
+RESTARTED = """\
+t;tag;v
+0;BEGIN;
+1;LOOK;0.5
+2;PICK;soft
+4;OK;
+90;LOOK;0.25
+3;LOOK;0.125
+3.5;BEGIN;
+4;LOOK;0.75
+5;PICK;hard
+7;NOK;
+8;END;done
+"""
+"""A controller that lost its power in the first trajectory, and counts from 0 again."""
+
+
+def test_a_clock_that_starts_again_is_not_mixed_with_what_it_counted_before(read_table):
+    with pytest.warns(HalfseenWarning) as told:
+        logs = read_table(RESTARTED, BEGUN)
+    said = [str(each.message).split("events.csv", 1)[1] for each in told]
+    assert said[0].startswith(", line 7: the clock starts again, and a trajectory begins, as it does 1 times in all;")
+    assert said[1].startswith(": 1 values come before the first beginning of a trajectory; they are left out")
+    assert ends(logs) == [(1, 90.0, "cut", "log ended"), (2, 4.5, "finished", None)]
+    assert stages(logs, "clutter") == [
+        (1, 1, 4.0, "soft", 1.0, 0.5),
+        (1, 2, None, None, None, 0.25),
+        (2, 1, 3.5, "hard", -0.5, 0.75),
+    ]
+
+
+def test_a_late_row_and_rows_out_of_order_are_no_new_start(read_table):
+    rows = PLC.splitlines(keepends=True)
+    late = "".join([*rows[:7], "103;LOOK;0.75\n", *rows[7:]])
+    with pytest.warns(HalfseenWarning, match="line 8: the time is before that of the row above; rows are put in order"):
+        assert ends(read_table(late, BEGUN)) == ends(read_table(PLC, BEGUN))
+    turned = "".join([rows[0], *rows[7:], *rows[2:7]])
+    with pytest.warns(HalfseenWarning, match="the clock starts again, and a trajectory begins"):
+        found = read_table(turned, BEGUN)
+    assert [row[1:] for row in ends(found)] == [row[1:] for row in ends(read_table(PLC, BEGUN))][::-1]
+    dates = [row if k == 0 else f"17{row[:3]}00000{row[3:]}" for k, row in enumerate(turned.splitlines(keepends=True))]
+    with pytest.warns(HalfseenWarning, match="rows are put in order of time"):
+        assert [row[2:] for row in ends(read_table("".join(dates), BEGUN))] == [
+            row[2:] for row in ends(read_table(PLC, BEGUN))
+        ]

@@ -3,7 +3,8 @@
 A mapping has the same tables as for bags (`halfseen.logs.formats.bags`), and rows become stages as messages do:
 ``field`` is a column, and ``topic`` a row's text in the column of events. Without a column of events each row is a
 stage, and an empty cell carries no value. If trajectories have a column, each of their rows advances their clock,
-mapped or not. A trajectory without an ending was cut: "log ended".
+mapped or not. A trajectory without an ending was cut: "log ended". A clock of numbers may start again where an event
+begins a trajectory, as that of a controller does when it is restarted.
 """
 
 from collections import Counter
@@ -19,7 +20,7 @@ import pyarrow as pa
 from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.logs.columns import shown
 from halfseen.logs.formats import table_values
-from halfseen.logs.formats.bag_messages import Event
+from halfseen.logs.formats.bag_messages import JITTER_NS, Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
 from halfseen.logs.formats.ending_flags import are_flags, truths, with_ending
 from halfseen.logs.formats.event_doubts import (
@@ -40,6 +41,8 @@ from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.shapes import Int
 
+EARLIEST_DATE_NS = 10**18
+"""Larger numbers are dates, which a restart of a controller does not set back [ns since 1970]."""
 LOG_ENDED = "log ended"
 """Cause of the cut of a trajectory without an ending."""
 
@@ -274,10 +277,17 @@ def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int]
 def _groups(
     cells: Cells, mapping: EventMapping, values_of: list[list[tuple[str, Any]]], stamps: Stamps
 ) -> dict[Any, list[int]]:
-    """Rows by the name of their trajectory; all rows if there is one trajectory or if events begin trajectories."""
+    """Rows by the name of their trajectory; by the run of their clock if events begin trajectories."""
     steps = np.diff(stamps)
     is_newest_first = mapping.clock.since is None and bool((steps <= 0).all() and (steps < 0).any())
     order = range(len(stamps))[:: -1 if is_newest_first else 1]
+    is_date = mapping.clock.unit is None or bool((stamps >= EARLIEST_DATE_NS).any())
+    if mapping.has_begins and mapping.clock.since is None and not is_date:
+        runs = _runs(list(order), stamps, values_of)
+        for first, *_ in runs[1:2]:
+            trouble = f"the clock starts again, and a trajectory begins, as it does {len(runs) - 1:,} times in all"
+            warn(cells.place(first), f"{trouble}; rows below are taken for later ones")
+        return dict(enumerate(runs))
     if mapping.has_begins or (mapping.trajectory is None and cells.word != "file"):
         return {None: list(order)}
     if mapping.trajectory is None:
@@ -289,6 +299,30 @@ def _groups(
     for row, name in zip(rows, _read(cells, "trajectory", mapping.trajectory, column, rows, Marks()), strict=True):
         groups.setdefault(name, []).append(row)
     return groups
+
+
+def _runs(rows: list[int], stamps: Stamps, values_of: list[list[tuple[str, Any]]]) -> list[list[int]]:
+    """Split rows where the clock falls back, and stays back until a trajectory begins, as where a controller starts."""
+    runs, highest = [rows[:1]], int(stamps[rows[0]])
+    for k in range(1, len(rows)):
+        time_ns, limit_ns = int(stamps[rows[k]]), highest - JITTER_NS
+        if time_ns < limit_ns and _begins_below(k, limit_ns, rows, stamps, values_of):
+            runs.append([])
+            highest = time_ns
+        runs[-1].append(rows[k])
+        highest = max(highest, time_ns)
+    return runs
+
+
+def _begins_below(
+    k: int, limit_ns: int, rows: list[int], stamps: Stamps, values_of: list[list[tuple[str, Any]]]
+) -> bool:
+    """Whether a trajectory begins from row k on, before anything else is done and the clock reaches a limit [ns]."""
+    for at in range(k, len(rows)):
+        keys = {key for key, _ in values_of[rows[at]]}
+        if stamps[rows[at]] >= limit_ns or keys & {"trajectory", "action", "reward", "ending"}:
+            return "trajectory" in keys and bool(stamps[rows[at]] < limit_ns)
+    return False
 
 
 def _in_order(rows: list[int], stamps: Stamps, mapping: EventMapping) -> tuple[list[int], Int[np.ndarray, " some"]]:
