@@ -10,7 +10,7 @@ import pandas as pd
 from halfseen.errors import ArgumentError, LogError, did_you_mean
 from halfseen.learning.behaviour import seen_among
 from halfseen.learning.covariates import Categories, Covariates, learned_categories, unfit_covariates
-from halfseen.learning.discrete_policy import DiscretePolicy, NamedActionPolicy
+from halfseen.learning.discrete_policy import DiscretePolicy, NamedActionPolicy, checked_probabilities
 from halfseen.learning.rows import stage_places
 from halfseen.learning.task import ACTION, Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
@@ -184,10 +184,14 @@ class NamedActions:
         Raises
         ------
         ArgumentError
-            The policy is not a `NamedActionPolicy`, or takes an action that the task does not have.
+            The policy is not a `NamedActionPolicy`, takes an action that the task does not have, or gives numbers that
+            are no probabilities.
         """
         if not isinstance(policy, NamedActionPolicy):
-            raise ArgumentError(f"{type(policy).__name__} decides nothing about named actions, which the task is of")
+            raise ArgumentError(
+                f"{type(policy).__name__} decides nothing about named actions, which the task is of; give a policy "
+                "with actions, horizon and probabilities, such as a learner's policy_"
+            )
         unknown = [name for name in policy.actions if name not in self.names]
         if unknown:
             listed = ", ".join(map(repr, self.names)) + did_you_mean(unknown[0], self.names)
@@ -198,7 +202,7 @@ class NamedActions:
         for stage in range(1, logs.horizon + 1):
             rows = (logs.stages["stage"] == stage).to_numpy()
             frame: Any = logs.stages[rows]
-            probabilities[trajectory[rows][:, None], stage - 1, column] = policy.probabilities(frame, stage)
+            probabilities[trajectory[rows][:, None], stage - 1, column] = checked_probabilities(policy, frame, stage)
         return probabilities
 
     def _refuse_too_large(self, shape: tuple[int, int, int]) -> None:
