@@ -251,6 +251,7 @@ def test_what_is_not_said_is_one_q_for_all_stages_and_cox_on_their_clock():
         (TARGET, {"level": 1.0 - 1e-12}, "it lies between 0 and 1, and is 0.999999 at most"),
         (TARGET, {"propensity": "guessed"}, "propensity is 'guessed'"),
         (TARGET, {"num_folds": 1}, "num_folds is 1"),
+        (TARGET, {"random_state": -1}, "random_state is -1; it is a seed, a whole number ≥ 0"),
         (StatePolicy((0.0, 1.0), horizon=1), {}, "but a trajectory has 2 stages"),
         (FixedSequence(("A", "C")), {}, "takes 'C', which is none of the actions"),
         ("no policy", {}, "str decides nothing about named actions.*; give a policy with actions, horizon and prob"),

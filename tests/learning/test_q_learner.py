@@ -3,6 +3,7 @@ import sys
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
@@ -115,6 +116,19 @@ def test_what_cannot_be_is_refused_in_words(logs, changed, error, message):
     with pytest.raises(error) as refusal:
         learner(**changed).fit(logs)
     assert message in str(refusal.value)
+
+
+@pytest.mark.parametrize("value", [None, -1, 1.5, np.random.default_rng(0), np.random.RandomState(0)])
+def test_a_random_state_is_a_seed(logs, value):
+    with pytest.raises(ArgumentError, match=r"random_state is .*; it is a seed, a whole number ≥ 0"):
+        learner().set_params(random_state=value).fit(logs)
+
+
+@pytest.mark.parametrize("states", [np.zeros((2, 1)), {"s1_1": [0.0]}, pa.table({"s1_1": [0.0]})])
+def test_states_that_are_no_frame_are_refused(logs, states):
+    policy = learner().fit(logs).policy_
+    with pytest.raises(ArgumentError, match=f"the states are a {type(states).__name__}; give a pandas DataFrame"):
+        policy.decide(states, 1)
 
 
 @pytest.mark.parametrize(

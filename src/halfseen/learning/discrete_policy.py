@@ -198,6 +198,8 @@ class DiscretePolicy:
 
     def _valued(self, frame: Frame, stage: int) -> Valued:
         self._check_stage(stage)
+        if not (hasattr(frame, "columns") and hasattr(frame, "iloc")):
+            raise ArgumentError(f"the states are a {type(frame).__name__}; give a pandas DataFrame, one row a state")
         full = frame if self.filling is None else self.filling.of_states(frame, self.covariates)
         return self.valued(self.looks_at.encode(full), stage)
 

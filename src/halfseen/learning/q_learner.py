@@ -19,7 +19,7 @@ from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator, check_fitted
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.promise import believable
-from halfseen.learning.q_model import QModel, is_count
+from halfseen.learning.q_model import QModel, check_seed, is_count
 from halfseen.learning.q_space import (
     SMOOTH,
     CrossValidation,
@@ -271,6 +271,7 @@ class CensoredQLearner(Estimator):
         pessimism and eight actions or more, the actions are partially pooled (`recursion`), and the policy prefers the
         actions of the log where their Qs do not differ clearly (`behaviour`).
         """
+        check_seed(self.random_state)
         task, is_fixed = self._task(), not _is_auto(self.censoring)
         is_of_policy = bool(getattr(task, "is_of_policy", False))
         by_itself = BuckleyJames() if logs is None or is_fixed or logs.has_all_actions else Weighted()
