@@ -10,8 +10,8 @@ from enumerated_trial import CHANCE_B, StatePolicy, specified, trial, truth
 
 from halfseen.censoring import KaplanMeier
 from halfseen.errors import ArgumentError, LogError
-from halfseen.evaluation import FixedSequence, QSpec, evaluate
-from halfseen.learning import DoublyRobust, NamedActions, Unweighted
+from halfseen.evaluation import FixedSequence, QSpec, evaluate, held_out_verdict
+from halfseen.learning import CensoredQLearner, DoublyRobust, NamedActions, Unweighted
 from halfseen.logs import Logs
 
 TARGET = StatePolicy((0.1, 0.8))
@@ -178,6 +178,38 @@ def test_where_a_log_never_explored_q_alone_makes_nothing_better():
     # As the log does, but in one stage of a hundred.
     assert found_of(StatePolicy((0.0, 0.99)), logs).verdict != "inconclusive"
     assert "something else" not in found_of(StatePolicy((0.0, 1.0)), logs).reason
+
+
+def by_threshold(seed, num_trajectories, exploring):
+    """One stage without probabilities: A above a threshold, where it pays, and B below, but for a share."""
+    rng = np.random.default_rng(seed)
+    x, rows = rng.normal(size=num_trajectories), np.arange(num_trajectories)
+    takes_a = (x > 0) != (rng.random(num_trajectories) < exploring)
+    reward = np.where(takes_a, np.where(x > 0, 2.0 - x, -3.0), 0.5) + 0.3 * rng.normal(size=num_trajectories)
+    action, end_s = np.where(takes_a, "A", "B"), 1.0 + rng.random(num_trajectories)
+    stages = {"trajectory": rows, "stage": 1, "action": action, "x": x, "elapsed_s": end_s, "reward": reward}
+    return Logs(pd.DataFrame(stages), pd.DataFrame({"trajectory": rows, "end_s": end_s, "ending": "finished"}))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_an_unlogged_rule_that_never_explores_makes_nothing_better(seed):
+    # Above the threshold A pays more the lower x is, and a line through that is far off below, where A was not tried.
+    logs = by_threshold(seed, 400, exploring=0.0)
+    found = evaluate(FixedSequence(("A",)), logs, propensity="estimated", against="logging")
+    assert found.fitted_q.low > found.logging.high
+    assert found.verdict == "inconclusive"
+    assert (
+        "of the stages the policy does something else where the log took its action with probability 1" in found.reason
+    )
+    learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x"]).fit(logs)
+    assert set(learner.decide(pd.DataFrame({"x": [-1.0, -0.5]}), 1)) == {"A"}
+    assert held_out_verdict(learner, logs).verdict == "inconclusive"
+
+
+def test_an_unlogged_rule_that_explores_is_judged():
+    logs = by_threshold(0, 400, exploring=0.2)
+    found = evaluate(FixedSequence(("A",)), logs, propensity="estimated", against="logging")
+    assert found.verdict == "not better"
 
 
 @dataclass(frozen=True)
