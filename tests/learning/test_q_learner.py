@@ -138,6 +138,7 @@ def test_states_that_are_no_frame_are_refused(logs, states):
         (lambda: Weighted(by="stage", truncate_at=0.5), r"truncate_at is 0\.5; weights are at least 1"),
         (lambda: DoublyRobust("cox", covariates="clutter"), "covariates is 'clutter'; give a list of names"),
         (lambda: NamedActions(ACTIONS, "x"), "covariates is 'x'; give a list of names"),
+        (lambda: NamedActions(ACTIONS, ["x", "y", "x"]), "covariates names 'x' twice; name it once"),
         (lambda: KernelQ(gamma=-1), "gamma is -1; it is a finite number > 0"),
         (lambda: KernelQ(num_landmarks=0), "num_landmarks is 0"),
     ],

@@ -138,6 +138,8 @@ class DiscretePolicy:
     def q_values(self, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
         """Q̂ of every action in a stage (from 1), for each row of covariates; also of impossible ones.
 
+        The log says nothing of actions that it never completed: their Q̂ is no estimate (`is_possible` is False).
+
         Raises
         ------
         ArgumentError

@@ -1,5 +1,6 @@
 """The task of named actions: each action has its own coefficients on the same plain covariates of the stage."""
 
+from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -41,7 +42,7 @@ class NamedActions:
     Raises
     ------
     ArgumentError
-        A stage has no action, or one twice; or the names are a single string.
+        A stage has no action, or one twice; a covariate is named twice; or the names are a single string.
     """
 
     actions: Actions
@@ -57,6 +58,9 @@ class NamedActions:
             raise ArgumentError(f"actions is {self.actions!r}; give a list of names, or one for each stage")
         if isinstance(self.covariates, str):
             raise ArgumentError(f"covariates is {self.covariates!r}; give a list of names")
+        twice = [name for name, count in Counter(self.covariates).items() if count > 1]
+        if twice:
+            raise ArgumentError(f"covariates names {twice[0]!r} twice; name it once")
         lists = self.actions if isinstance(self.actions, Mapping) else {"any": self.actions}
         for stage, names in lists.items():
             if len(names) == 0 or len(set(names)) < len(names):

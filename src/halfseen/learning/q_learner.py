@@ -320,7 +320,10 @@ class CensoredQLearner(Estimator):
         )
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
-        """Q̂ of every action in a stage (from 1), for each row of covariates; for named actions only."""
+        """Q̂ of every action in a stage (from 1), for each row of covariates; for named actions only.
+
+        That of an action that was never completed (`unseen_`) is no estimate, and `decide` never takes it.
+        """
         return self._named_policy().q_values(frame, stage)
 
     def decide(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
