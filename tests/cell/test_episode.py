@@ -221,7 +221,9 @@ def test_a_label_that_cannot_be_news_changes_nothing_and_only_looks_that_show_mo
 @pytest.mark.parametrize("place_m", [(0.0, 5.0, TABLE_TOP_M), (0.0, 0.0, 3.0), (0.6, 0.0, TABLE_TOP_M)])
 def test_a_cup_that_is_not_on_the_table_is_refused(place_m):
     table = Table(TWO_CUPS, (TWO_POSES[0], Pose(place_m)), CAMERA, "table 7")
-    with pytest.raises(SceneError, match=r"table 7: the middle of cup 1 is at .* off the table, .*; put it there"):
+    with pytest.raises(
+        SceneError, match=r"table 7: the middle of cup 1 is at .* off the table, .*; move it onto the table"
+    ):
         Workcell(table, np.random.default_rng(0))
 
 
@@ -273,7 +275,7 @@ def test_a_folder_is_of_one_campaign_which_loses_nothing_when_it_is_stopped(tmp_
 
     with pytest.raises(KeyboardInterrupt):
         stopped()
-    with pytest.raises(ArgumentError, match=r"seed 1.*this is seed 2"), working_folder(tmp_path / "logs", "seed 2"):
+    with pytest.raises(ArgumentError, match=r"seed 1.*this run is seed 2"), working_folder(tmp_path / "logs", "seed 2"):
         pass
     with working_folder(tmp_path / "logs", "seed 1") as folder:
         assert (folder / "kept").exists()

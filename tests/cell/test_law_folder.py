@@ -89,12 +89,12 @@ def test_a_law_is_read_as_it_was_written_and_pictures_lie_beside_it_of_which_no_
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"parameters": ["log_odds", "colour"]}, r"law.json: the law tells grasps by .*'colour'\], .* other"),
+        ({"parameters": ["log_odds", "colour"]}, r"law.json: the parameters of the law are .*'colour'\], .* other"),
         ({"version": 9}, "law.json: version 9 is not 1"),
-        ({"num_decided": "many"}, "law.json: num_decided is 'many', no count of attempts"),
+        ({"num_decided": "many"}, "law.json: num_decided is 'many', not a count of attempts"),
         (b"[1]", r"law.json: version \[1\] is not 1"),
-        (b"{", "law.json: it cannot be read"),
-        (None, "law.safetensors: no numbers of a law"),
+        (b"{", "law.json: cannot be read"),
+        (None, "law.safetensors: does not hold the numbers of a law"),
     ],
 )
 def test_a_law_of_other_objects_or_that_is_none_is_refused(law, tmp_path, changed, message):
@@ -136,7 +136,7 @@ def test_where_a_tenth_of_the_attempts_is_the_share_that_held_is_known_to_three_
 @pytest.mark.parametrize("length_m", [1e300, -1e6])
 def test_what_is_no_length_on_a_table_is_refused(logs, length_m):
     log = Logs(logs.stages, logs.trajectories, logs.objects.assign(room_m=length_m))
-    with pytest.raises(LogError, match=r"trajectory .*, stage 1: room_m is (1e\+300|-1e\+06), no length on a table"):
+    with pytest.raises(LogError, match=r"trajectory .*, stage 1: room_m is (1e\+300|-1e\+06), not a length on a table"):
         trials(log, 10)
 
 

@@ -90,7 +90,7 @@ def test_a_line_is_straight_does_not_turn_the_hand_and_says_where_it_breaks_off(
         assert np.linalg.norm(gone - (gone @ toward) * toward) < 1e-3
         assert abs(np.dot(pose.quaternion, begin.quaternion)) > 1 - 1e-5
     np.testing.assert_allclose(kinematics.hand(way[-1]).position_m, end_m, atol=1e-3)
-    broken = r"the line to \(-0\.4.., -1\.5.., 0\.9..\) m breaks off at .* come from another"
+    broken = r"the line to \(-0\.4.., -1\.5.., 0\.9..\) m breaks off at .* approach from another"
     with pytest.raises(PlanError, match=broken):
         line(kinematics, HOME, begin, np.add(begin.position_m, [0.0, -2.1, 0.0]))
 
@@ -124,9 +124,9 @@ def test_a_plan_passes_through_the_places_that_its_grasp_asks_for(kinematics):
 @pytest.mark.parametrize(
     ("grasps", "message"),
     [
-        ([box(0.0, -0.9, 0.06)] * 2, r"of 1 that were tried the best: \(0\.000, -0\.900, .* out of reach"),
+        ([box(0.0, -0.9, 0.06)] * 2, r"the best of 1 tried: \(0\.000, -0\.900, .* out of reach"),
         ([box(0.05, -0.02, -0.02)], "would touch furniture"),
-        ([], "no grasp is free"),
+        ([], "every grasp is blocked"),
     ],
 )
 def test_a_grasp_out_of_reach_or_through_furniture_says_so(kinematics, grasps, message):

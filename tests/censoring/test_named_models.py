@@ -75,8 +75,8 @@ def test_a_fitted_model_is_not_fitted_again():
 @pytest.mark.parametrize(
     ("model", "covariates", "message"),
     [
-        ("weibull", None, "censoring is 'weibull'; it is 'kaplan-meier', 'cox', 'kernel', or a"),
-        ("KaplanMeier", None, "censoring is 'KaplanMeier'; it is 'kaplan-meier', 'cox', 'kernel', or a"),
+        ("weibull", None, "censoring is 'weibull'; give 'kaplan-meier', 'cox', 'kernel', or a"),
+        ("KaplanMeier", None, "censoring is 'KaplanMeier'; give 'kaplan-meier', 'cox', 'kernel', or a"),
         ("kaplan-meier", Z, "KaplanMeier takes no covariates"),
         ("cox", None, "Cox needs covariates"),
     ],
@@ -130,7 +130,7 @@ def test_models_keep_scikit_learns_habits(model, parameters, text):
 @MODELS
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0, -1.0])
 def test_a_time_that_is_no_end_of_a_trajectory_is_refused(model, value):
-    with pytest.raises(ArgumentError, match=rf"time, row 1: {value} is no end of a trajectory"):
+    with pytest.raises(ArgumentError, match=rf"time, row 1: {value} is not the end of a trajectory"):
         model.fit([1.0, value, *TIME[2:]], IS_FINISHED, covariates_of(model))
 
 
@@ -138,20 +138,20 @@ def test_a_time_that_is_no_end_of_a_trajectory_is_refused(model, value):
 def test_a_question_is_of_a_fitted_model_and_of_a_time(model):
     with pytest.raises(ArgumentError, match="not fitted; call fit"):
         named_model(model).survival([1.0], covariates_of(model, slice(1)))
-    with pytest.raises(ArgumentError, match="u, row 1: nan is no time"):
+    with pytest.raises(ArgumentError, match="u, row 1: nan is not a time"):
         model.fit(TIME, IS_FINISHED, covariates_of(model)).survival([1.0, np.nan], covariates_of(model, slice(2)))
 
 
 @pytest.mark.parametrize(
     ("model", "message"),
     [
-        (Cox().set_params(ties="exact"), "ties is 'exact'; it is 'efron' or 'breslow'"),
-        (Cox(ridge=-1.0), "ridge is -1.0; it is a finite number ≥ 0"),
+        (Cox().set_params(ties="exact"), "ties is 'exact'; give 'efron' or 'breslow'"),
+        (Cox(ridge=-1.0), "ridge is -1.0; give a finite number ≥ 0"),
         (Cox(ridge=np.nan), "ridge is nan"),
-        (KernelKaplanMeier().set_params(kernel="tricube"), "kernel is 'tricube'; it is 'gaussian' or 'epanechnikov'"),
+        (KernelKaplanMeier().set_params(kernel="tricube"), "kernel is 'tricube'; give 'gaussian' or 'epanechnikov'"),
         (KernelKaplanMeier(num_folds=1), "num_folds is 1; cross-validation needs at least 2"),
         *(
-            (KernelKaplanMeier().set_params(bandwidth=width), r"bandwidth is .*; it is a number of")
+            (KernelKaplanMeier().set_params(bandwidth=width), r"bandwidth is .*; give a number of")
             for width in (0.0, -1.0, np.nan, "wide", True, None)
         ),
     ],
@@ -176,11 +176,14 @@ def missing(value, wrap=np.array):
         (Z[:3], "covariates has 3 rows for 80 trajectories"),
         (Z[:, 0], r"covariates has shape \(80,\); give one row per trajectory and one column per covariate"),
         (np.empty((80, 0)), "covariates has no columns"),
-        ([["a"]] * 80, "covariates is not made of numbers"),
-        (pd.DataFrame({"arm": list("ab") * 40}), "covariates, arm: not made of numbers.*encode its categories"),
+        ([["a"]] * 80, "covariates is not numeric"),
+        (pd.DataFrame({"arm": list("ab") * 40}), "covariates, arm: not numeric.*encode its categories"),
         (pd.DataFrame(Z, columns=["x", "x"]), "covariates has two columns 'x'; rename one"),
         (np.column_stack([Z, np.full(80, 0.1)]), r"covariates, column 2: 0.1 in every row.*leave it out"),
-        *((missing(value), f"covariates, row 2, column 1: {value} is no value") for value in (np.nan, np.inf, -np.inf)),
+        *(
+            (missing(value), f"covariates, row 2, column 1: {value} is not a value")
+            for value in (np.nan, np.inf, -np.inf)
+        ),
         *(
             (Z * [1.0, unit], r"covariates, column 1: the largest is .*; give it in another unit")
             for unit in (1e99, 1e-99)
@@ -199,7 +202,7 @@ def test_covariates_that_no_model_can_be_fitted_to_are_refused(model, covariates
     [
         (None, "needs covariates"),
         (Z[:2], "covariates has 2 rows for 80 trajectories"),
-        (Z[:, :1], "covariates has 1 columns, and the fit had 2"),
+        (Z[:, :1], "covariates has 1 columns, but the fit had 2"),
         (missing(np.nan), "covariates, row 2, column 1: "),
     ],
 )

@@ -118,10 +118,10 @@ def test_the_mean_may_be_of_another_quantity():
             "Incomplete: 20 finishes have an effective sample size of 20.0, but stand for 50%",
             "finish after 40 s: restrict times",
         ),
-        ("all cut", False, "Nothing to weigh: all 2 trajectories were cut.\nRecord until some", ""),
-        ("the only one cut", False, "Nothing to weigh: the only trajectory was cut.", ""),
+        ("all cut", False, "No weights: all 2 trajectories were cut.\nRecord until some", ""),
+        ("the only one cut", False, "No weights: the only trajectory was cut.", ""),
         ("none cut", True, "Sound: 50 finishes have an", ""),
-        ("one trajectory", False, "Too little: ", "the weights are not what makes them few"),
+        ("one trajectory", False, "Too little: ", "the weights are not the cause"),
     ],
 )
 def test_verdicts(case, is_sound, begins, remedy):
@@ -153,13 +153,13 @@ LATE = KaplanMeier().fit([1.0, 2.0, 3.0], [False, True, True])
     ("time", "is_finished", "model", "mean_weight", "told"),
     [
         ([1.0, 2.0, 3.0, 4.0], [True] * 4, LATE, 1.375, "1 trajectory finished later"),
-        (np.arange(1.0, 41.0), [True] * 40, TooWary(), 2.0, "takes cuts for likelier than they were"),
+        (np.arange(1.0, 41.0), [True] * 40, TooWary(), 2.0, "overestimates the probability of cuts"),
         (
             [1.0, 2.0, 3.0, 4.0],
             [True, True, True, False],
             "kaplan-meier",
             0.75,
-            "The mean weight is 0.750, so some 25.0% of trajectories finish later than that.",
+            "The mean weight is 0.750, so about 25.0% of trajectories finish later than that.",
         ),
     ],
 )
@@ -230,7 +230,7 @@ def test_weights_at_the_bound_count_as_truncated(weights, bound, share):
 def test_nothing_seen_is_worth_nothing(weights):
     worth = weight_diagnostics(weights)
     assert (worth.num_seen, worth.effective_sample_size, worth.largest_at) == (0, 0.0, None)
-    assert str(worth) == f"None of {np.size(weights)} were seen, so there is nothing to weigh."
+    assert str(worth) == f"None of {np.size(weights)} were seen, so there are no weights."
 
 
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])

@@ -107,8 +107,8 @@ def test_a_stage_that_nothing_outlived_is_not_identified(clocks):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"by": "clock"}, "by is 'clock'; it is 'trajectory', 'stage' or 'pooled'"),
-        ({"model": "weibull"}, "censoring is 'weibull'; it is 'kaplan-meier', 'cox', 'kernel'"),
+        ({"by": "clock"}, "by is 'clock'; give 'trajectory', 'stage' or 'pooled'"),
+        ({"model": "weibull"}, "censoring is 'weibull'; give 'kaplan-meier', 'cox', 'kernel'"),
         ({"covariates": ["x"]}, r"covariates is \['x'\], but kaplan-meier uses none"),
     ],
 )

@@ -45,7 +45,7 @@ def test_a_flat_log_is_learned_with_its_actions_by_stage_and_its_numeric_covaria
     assert report["schema"]["possible"] == [["A", "B"], ["A", "C"]]
     assert (report["seed"], report["learner"]["reg"], report["learner"]["stages"]) == (4, 0.1, "pooled")
     assert report["notes"] == [
-        "it does not look at colour, which is 'red' in every stage, so it tells nothing apart; leave it out"
+        "it does not look at colour, which is 'red' in every stage, so it carries no information; leave it out"
     ]
     logs = flat_log()
     by_hand = CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1, random_state=4).fit(logs)

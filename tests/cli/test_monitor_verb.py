@@ -102,7 +102,7 @@ def test_the_page_tells_the_same_and_is_replaced_only_if_asked(folders, tmp_path
     assert "<script" not in text
     told(folders / "policy", "--logs", folders / "next", "--page", page, "--overwrite")
     assert "no alarm" in page.read_text(encoding="utf-8")
-    with refused("it is there already"):
+    with refused("it already exists"):
         told(folders / "policy", "--logs", folders / "next", "--page", page)
 
 
@@ -248,7 +248,7 @@ def test_an_alarm_says_whether_learning_again_may_pay(folder):
             "since is none-such, and the log has no such trajectory; give the name of one, 1 to",
         ),
         (["--since", "5", "--streaming"], "--since takes logs that are held in memory: add --in-memory"),
-        (["--recency", "-3"], "half_life is -3.0; it is a number of trajectories above 0"),
+        (["--recency", "-3"], "half_life is -3.0; give a number of trajectories above 0"),
     ],
 )
 def test_what_cannot_be_is_refused(folder, tmp_path, options, told):

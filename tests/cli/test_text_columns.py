@@ -118,7 +118,7 @@ def test_act_warns_of_a_category_that_this_stage_never_showed(folder, tmp_path):
 def test_act_says_of_another_spelling_that_it_is_one(folder, tmp_path):
     file = state(tmp_path, "a.json", '{"x": 0.1, "colour": "Blue", "is_heavy": true}')
     told = refusal(PolicyError, "act", folder / "policy", file)
-    assert "covariate 'colour': 'Blue' and 'blue' differ only in their spelling, and the log that was learned" in told
+    assert "covariate 'colour': 'Blue' and 'blue' differ only in spelling, and the training log" in told
 
 
 @pytest.mark.parametrize("text", ['"mauve"', "null", "7"])
@@ -126,11 +126,11 @@ def test_act_refuses_what_it_does_not_know(folder, tmp_path, text):
     file = state(tmp_path, "a.json", f'{{"x": 0.1, "colour": {text}, "is_heavy": true}}')
     told = refusal(PolicyError, "act", folder / "policy", file)
     value = text.replace('"', "'") if text != "7" else "'7'"
-    known = f"row 0: covariate 'colour' is {value}, which the log that was learned from never showed"
+    known = f"row 0: covariate 'colour' is {value}, which the training log lacks"
     what = "covariate 'colour' is null; fill it in" if text == "null" else known
     assert told.startswith(f"{file}: {what}")
     file = state(tmp_path, "a.csv", f"x,colour,is_heavy\n0.1,{text},True\n")
-    assert "known are 'blue', 'green', 'red'" in refusal(PolicyError, "act", folder / "policy", file)
+    assert "give one of 'blue', 'green', 'red'" in refusal(PolicyError, "act", folder / "policy", file)
 
 
 def test_codes_that_are_text_are_read_as_text(tmp_path):

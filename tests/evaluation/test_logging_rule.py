@@ -233,13 +233,18 @@ def test_a_tree_is_that_of_scikit_learn(least, monkeypatch):
     assert alike.all() if least == 20 else alike.mean() > 0.98
 
 
-def test_the_logit_is_that_of_scikit_learn(monkeypatch):
+@pytest.mark.parametrize(("num_covariates", "degree"), [(3, 2), (30, 1)])
+def test_the_logit_is_that_of_scikit_learn_and_has_products_where_they_are_fewer_than_rows(
+    num_covariates, degree, monkeypatch
+):
     monkeypatch.setattr(rule_models, "TOLERANCE", 1e-7)
     monkeypatch.setattr(rule_models, "MOST_STEPS", 5000)
-    design = PolynomialFeatures(2, include_bias=False).fit_transform(StandardScaler().fit_transform(STATES))
+    states = np.column_stack([STATES, np.random.default_rng(1).normal(size=(NUM_ROWS, num_covariates - 3))])
+    scaled = StandardScaler().fit_transform(states)
+    design = PolynomialFeatures(degree, include_bias=False).fit_transform(scaled)
     logit = LogisticRegression(C=1.0 / rule_models.RIDGE, tol=1e-9, max_iter=5000)
     expected = logit.fit(design, ACTION, sample_weight=WEIGHT).predict_proba(design)
-    np.testing.assert_allclose(logit_shares(STATES, VOTES, EACH), expected, atol=1e-4)
+    np.testing.assert_allclose(logit_shares(states, VOTES, EACH), expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("shares", [forest_shares, logit_shares])

@@ -55,7 +55,7 @@ def test_where_the_policy_stepped_back_what_was_done_counts_as_its_own(policy):
 
 def test_what_nobody_stepped_back_from_is_refused(policy):
     logs = cell(200, 1, policy.decide, [7], has_reason=False)
-    with pytest.raises(LogError, match=r"trajectory 7, stage 1: covariate 'colour' is 'green'.*give one of these"):
+    with pytest.raises(LogError, match=r"trajectory 7, stage 1: covariate 'colour' is 'green'.*give one of 'blue'"):
         evaluate(policy, logs)
 
 

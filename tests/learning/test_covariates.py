@@ -79,9 +79,8 @@ def test_an_unknown_category_is_named_with_those_that_are_known(logs):
     strange = logs.stages.assign(colour=logs.stages["colour"].where(logs.stages.index != 5, "mauve"))
     row = strange.iloc[5]
     told = (
-        f"trajectory {row['trajectory']}, stage {row['stage']}: covariate 'colour' is 'mauve', which the log that was "
-        "learned from never showed; known are 'blue', 'green', 'red': give one of these, or learn again from logs that "
-        "show 'mauve'"
+        f"trajectory {row['trajectory']}, stage {row['stage']}: covariate 'colour' is 'mauve', which the training log "
+        "lacks; give one of 'blue', 'green', 'red', or learn again from logs with 'mauve'"
     )
     for ask in (policy.q_values, policy.decide):
         with pytest.raises(LogError) as refusal:

@@ -210,7 +210,7 @@ def test_what_stages_weigh_and_what_is_imputed(logs, targets, weights):
 
 
 def test_the_outcome_regression_chooses_among_the_covariates_of_a_linear_q_only(logs):
-    with pytest.raises(ArgumentError, match="it chooses among the covariates of a linear Q only"):
+    with pytest.raises(ArgumentError, match="but selects covariates of a linear Q only"):
         weighed(logs, DoublyRobust(outcome_covariates=["s2_1"]), space=KernelQ(10))
     _, _, _, imputed = weighed(logs, DoublyRobust(), space=KernelQ(10))
     assert imputed.is_used.all()
@@ -236,7 +236,7 @@ def test_plain_settings_make_the_same():
 
 @pytest.mark.parametrize("name", ["none", "buckley-james"])
 def test_what_needs_a_model_of_the_cuts_is_refused_where_there_is_none(name):
-    weighs = "{} is .*, but censoring '" + name + "' makes no weights; leave it out"
+    weighs = "{} is .*, but censoring '" + name + "' uses no weights; leave it out"
     for said, message in (
         ({"by": "stage"}, weighs.format("by")),
         ({"covariates": ["z"]}, weighs.format("covariates")),
@@ -245,7 +245,7 @@ def test_what_needs_a_model_of_the_cuts_is_refused_where_there_is_none(name):
     ):
         with pytest.raises(ArgumentError, match=message):
             named_targets(name, **said)
-    with pytest.raises(ArgumentError, match=f"censoring is '{name}'; it is 'kaplan-meier'"):
+    with pytest.raises(ArgumentError, match=f"censoring is '{name}'; give 'kaplan-meier'"):
         DoublyRobust(name)
 
 
@@ -279,7 +279,7 @@ def test_actions_can_hasten_cuts(known):
 
 def test_what_cuts_cannot_depend_on_is_refused(trial, known):
     with pytest.raises(
-        ArgumentError, match=r"trajectory \d+, stage \d: action=A is not known, and cuts are to depend on it"
+        ArgumentError, match=r"trajectory \d+, stage \d: action=A is not known, but the model of the cuts uses it"
     ):
         learner(censoring=Weighted("cox", by="stage")).fit(trial)
     with pytest.raises(ArgumentError, match="none of those of all stages differs between trajectories"):

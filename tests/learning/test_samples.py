@@ -78,7 +78,7 @@ def test_a_half_life_is_taken_where_it_predicts_better_and_follows_the_turn():
     assert recent.decide(x, 1).tolist() == ["A", "B"]
     assert "halves every" in recent.chosen_[-1]
     few = CensoredQLearner(1, ["A", "B"], ["x"], half_life="auto").fit(turning(60, 30))
-    assert few.chosen_[-1] == "all trajectories count alike: 60 are too few to choose a half-life"
+    assert few.chosen_[-1] == "all trajectories have equal weight: 60 are too few to choose a half-life"
 
 
 def test_policies_of_folds_have_a_half_life_of_as_many_of_their_own(monkeypatch):
@@ -100,7 +100,7 @@ def test_the_latest_count_half_of_the_last_one_or_more():
 
 @pytest.mark.parametrize("half_life", [0, -3.0, "soon", True, np.inf, np.nan])
 def test_what_is_no_half_life_is_refused(half_life):
-    with refused("half_life is .*; it is a number of trajectories above 0"):
+    with refused("half_life is .*; give a number of trajectories above 0"):
         CensoredQLearner(1, ["A", "B"], ["x"], half_life=half_life).fit(turning(20, 20))
 
 

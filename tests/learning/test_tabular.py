@@ -160,7 +160,7 @@ def test_a_log_whose_stages_all_were_cut_at_once_is_refused():
 def test_text_of_many_categories_makes_q_a_table_by_itself_and_nothing_else_does(logs):
     learner = learner_of().fit(logs)
     assert learner.model_.space == TabularQ()
-    assert learner.chosen_ == ("Q is a table: colour names a state",)
+    assert learner.chosen_ == ("Q is a table: colour holds the states",)
     assert learner.decide(pd.DataFrame({"colour": ["red", "c00"]}), 1).tolist() == ["B", "A"]
     assert learner.policy_.coefficients.shape == (2, 2, 30)
     assert not isinstance(learner_of().compose(text_log()).space, TabularQ)
@@ -213,7 +213,7 @@ def test_a_table_needs_one_covariate_and_a_log_in_memory(logs, tmp_path):
 def test_states_are_names_or_numbers(logs):
     states = logs.stages["colour"]
     structs = Logs(logs.stages.assign(colour=[{"is": each} for each in states]), logs.trajectories)
-    with pytest.raises(ArgumentError, match="'tabular', and colour holds mixed; give states names or numbers"):
+    with pytest.raises(ArgumentError, match="'tabular', but colour holds mixed; give names or numbers"):
         learner_of(q_function="tabular").fit(structs)
     with pytest.raises(LogError, match="holds mixed, neither numbers nor text"):
         learner_of(q_function="linear").fit(structs)

@@ -1,4 +1,4 @@
-"""A task of a user's own goes wherever named actions go; what was never seen completed has no value."""
+"""A task of a user's own goes wherever named actions go; what was never completed has no value."""
 
 from dataclasses import dataclass
 
@@ -162,7 +162,7 @@ def test_an_action_that_was_cut_each_time_is_never_chosen(stages, censoring, q_f
     learner.fit(always_cut())
     assert set(learner.decide(pd.DataFrame({"x": np.linspace(-5, 5, 50)}), 1)) == {"A"}
     (told,) = learner.unseen_
-    assert told.startswith("B was never seen completed")
+    assert told.startswith("B was never completed")
     assert "(begun 20 times and cut each time)" in told
 
 

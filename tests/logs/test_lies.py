@@ -13,7 +13,7 @@ from halfseen.evaluation import evaluate
 from halfseen.evaluation.targets import FixedSequence
 from halfseen.logs import Logs
 from halfseen.logs.data_quality import data_warnings
-from halfseen.logs.grouping import coded, grouped, rows_with
+from halfseen.logs.grouping import coded, grouped, grouped_covariates, rows_with
 from halfseen.logs.plausibility import chance_of_shorter, excess_p, imbalance_p, outcomes_among_covariates
 from small_logs import log_of
 
@@ -124,7 +124,12 @@ def test_a_covariate_that_foretells_much_and_was_known_before_raises_no_doubt():
     seen |= {"action": np.where(action, "A", "B"), "reward": 3.0 * x + 0.1 * action}
     assert data_warnings(log_of(**seen, probability=0.5)) == ()
     # Without probabilities nobody can tell.
-    assert len(list(outcomes_among_covariates(log_of(**seen)))) == 1
+    (said,) = outcomes_among_covariates(log_of(**seen))
+    (x_group,) = grouped_covariates(log_of(**seen), log_of(**seen).stages)
+    reward = pd.Series(seen["reward"])
+    by_action, by_both = (reward - reward.groupby(by).transform("mean") for by in (action, [action, x_group.group]))
+    left = (by_both @ by_both / (num - 2 * x_group.num_groups)) / (by_action @ by_action / (num - 2))
+    assert f"explains {1.0 - left:.0%} of" in said
     assert list(outcomes_among_covariates(log_of(**seen), of=("y",))) == []
 
 
@@ -136,9 +141,13 @@ def test_a_covariate_that_foretells_much_and_was_known_before_raises_no_doubt():
         ("part", pd.array(range(120), dtype="Int64"), {"identifier"}),
         ("colour", pd.Categorical(["red", "blue"] * 60), set()),
         ("mass", pd.array([f"{k},5" for k in range(120)], dtype="string"), {"number-as-text"}),
+        ("level", [f"{k % 4}.5" for k in range(120)], {"number-as-text"}),
+        ("lamp", ["on", "nan", "off", " NULL"] * 30, {"missing-as-text"}),
+        ("tool", ["none", "NA", "a", "b"] * 30, set()),
+        ("floor", [f"{k % 4}" for k in range(120)], set()),
         ("probability", np.full(120, 1e-300), {"untrue-probability"}),
     ],
-    ids=["boolean", "bool", "Int64", "category", "string", "tiny"],
+    ids=["boolean", "bool", "Int64", "category", "string", "fractions", "missing", "names", "digits", "tiny"],
 )
 def test_columns_of_all_kinds_are_looked_at_without_a_warning(name, values, kind):
     rng, num = np.random.default_rng(0), 120
@@ -154,6 +163,22 @@ def evaluated(stages, trajectories, **options):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return evaluate(FixedSequence(("vacuum",) * 5), logs, against="logging", **options)
+
+
+def test_the_number_of_a_row_is_no_covariate():
+    rng, num = np.random.default_rng(0), 40
+    seen = {
+        "trajectory": np.repeat(range(num), 6),
+        "stage": np.tile(range(1, 7), num),
+        "elapsed_s": np.tile(np.cumsum(rng.gamma(0.5, 1.0, 6)), num),
+    }
+    seen |= {"action": rng.choice(["A", "B"], 6 * num), "reward": rng.random(6 * num), "x": rng.random(6 * num)}
+    for row in (np.arange(6 * num), np.arange(6.0 * num)[::-1] + 7):
+        told = [each.sentence for each in data_warnings(log_of(**seen, row=row)) if each.kind == "identifier"]
+        assert told == ["covariate row numbers the rows, which tells nothing of the next one: leave it out"]
+    assert "identifier" not in {
+        each.kind for each in data_warnings(log_of(**seen, row=rng.permutation(960)[: 6 * num]))
+    }
 
 
 def test_no_verdict_rests_on_probabilities_that_nobody_had_unless_they_are_trusted():

@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import norm
+from scipy import stats
 
 from halfseen.cli.act import lines
 from halfseen.errors import LogError, PolicyError
@@ -12,9 +12,9 @@ from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 from halfseen.monitoring import betting
 from halfseen.monitoring.answer import FEWEST, num_needed, relearning
-from halfseen.monitoring.diagnosis import broken_parts, clock_unit, differs
+from halfseen.monitoring.diagnosis import broken_parts, clock_unit, differs, swapped_or_changed
 from halfseen.monitoring.monitor import ALPHAS, looks_at_of, monitored
-from halfseen.monitoring.streams import move_streams, part_streams, swap_streams
+from halfseen.monitoring.streams import move_streams, part_streams, swap_streams, swapped_states
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.policies.folder.promised_parts import (
     FEWEST_STEPS,
@@ -23,6 +23,7 @@ from halfseen.policies.folder.promised_parts import (
     moves,
     outcome_rows,
     promised_parts,
+    promised_states,
     residuals,
 )
 from small_logs import table_log
@@ -109,6 +110,61 @@ def test_swapped_columns_that_are_distributed_alike_are_named_by_what_actions_br
     assert found.relearning.startswith("Mend what is recorded before you learn again")
 
 
+ALIKE = Covariates(("x", "y", "z", "colour"), {"colour": ("blue", "red")})
+
+
+def alike(num, seed, is_swapped=False):
+    """x and y are distributed alike; z goes with x alone."""
+    rng = np.random.default_rng(seed)
+    x, y, noise = rng.normal(3.0, 0.01, size=(3, num))
+    seen = {"x": y, "y": x} if is_swapped else {"x": x, "y": y}
+    more = {"z": 100.0 * (x + noise), "colour": rng.choice(["blue", "red"], num), "trajectory": range(num), "stage": 1}
+    stages = pd.DataFrame({**seen, **more, "action": "A", "elapsed_s": 1.0, "reward": 0.0})
+    return Logs(stages, pd.DataFrame({"trajectory": range(num), "end_s": 1.0, "ending": "finished"}))
+
+
+def test_states_are_compared_with_themselves_swapped_under_the_normal_distribution_of_others():
+    log, logs = alike(201, 0), alike(50, 1)
+    states = ALIKE.encode(log.stages)
+    promise = {"stages": promised_states(log, ALIKE.columns), "first_states": states.tolist()}
+    found = {each.about: each for each in swapped_states(promise, ALIKE, logs)}
+    assert set(found) == {"x and y", "x and z", "y and z"}
+    fitted, seen = states[::2], ALIKE.encode(logs.stages)
+    covariance, share = np.cov(fitted.T, bias=True), 4 / (2 * 101 + 4)
+    covariance = (1.0 - share) * covariance + share * np.diag(np.diag(covariance))
+    normal = stats.multivariate_normal(fitted.mean(axis=0), covariance)
+    expected = normal.logpdf(seen) - normal.logpdf(seen[:, [1, 0, 2, 3]])
+    np.testing.assert_allclose(found["x and y"].values, expected, rtol=1e-8)
+    assert found["x and y"].counts.sum() == 100
+
+
+@pytest.mark.parametrize("is_swapped", [False, True])
+def test_a_swap_of_columns_that_are_distributed_alike_shows_in_what_goes_with_them(is_swapped):
+    log, logs = alike(400, 0), alike(150, 1, is_swapped)
+    promise = {"stages": promised_states(log, ALIKE.columns), "first_states": ALIKE.encode(log.stages).tolist()}
+    [found] = [each for each in swapped_states(promise, ALIKE, logs) if each.about == "x and y"]
+    draws = np.random.default_rng(2).random(150)
+    p = betting.rank_p_values(found.bins, len(found.counts), found.counts, draws)
+    wealth = betting.log_wealth(betting.rank_payoffs(p[:, None], is_less=True))
+    assert (betting.p_values(wealth)[-1, 0] < 1e-6) == is_swapped
+    if is_swapped:
+        assert swapped_or_changed("x and y", promise, logs, 0) == "covariates x and y look swapped"
+        drifted = Logs(logs.stages.assign(x=logs.stages["x"] + 1.0), logs.trajectories)
+        assert swapped_or_changed("x and y", promise, drifted, 0) == "covariates of stage 1 have changed together"
+
+
+def test_too_few_states_and_a_covariate_that_does_not_vary_give_no_swap():
+    log = alike(400, 0)
+    states = ALIKE.encode(log.stages)
+    promise = {"stages": promised_states(log, ALIKE.columns), "first_states": states[:38].tolist()}
+    assert swapped_states(promise, ALIKE, log) == []
+    constant = Logs(log.stages.assign(x=3.0), log.trajectories)
+    promise = {"stages": promised_states(constant, ALIKE.columns), "first_states": (states * [0, 1, 1, 1]).tolist()}
+    [found] = swapped_states(promise, ALIKE, constant)
+    assert found.about == "y and z"
+    assert np.isfinite(found.values).all()
+
+
 def test_a_swap_is_asked_of_states_where_it_would_matter(stored):
     logs, promise, looks_at = cell(60, 3), stored.record["promise"], looks_at_of(stored.policy)
     parts = part_streams(promise["parts"], looks_at, logs)
@@ -121,7 +177,7 @@ def test_a_swap_is_asked_of_states_where_it_would_matter(stored):
         [as_is], [turned] = (residuals(part, features, np.array([row.reward])) for features in (here, there))
         terms = np.append(1.0, expanded_as(part, here))
         bent = 0.1 * max(part["deviation"], 0.1 * max(one["deviation"] for one in models.values()))
-        tolerance = norm.ppf(1.0 - 0.01 / 2 / len(promise["parts"])) * np.sqrt(
+        tolerance = stats.norm.ppf(1.0 - 0.01 / 2 / len(promise["parts"])) * np.sqrt(
             terms @ np.array(part["covariance"]) @ terms + bent**2
         )
         if abs(as_is - turned) > 2.0 * tolerance:
@@ -268,7 +324,7 @@ def test_what_is_kept_of_parts_is_least_squares_and_the_range_by_hand(stored):
         at @ np.array(part["covariance"]) @ np.transpose(at), at @ usual @ np.transpose(at), rtol=0.2
     )
     assert kept["brings"] == [0.0, 1.0]
-    assert len(kept["first_states"]) == 200
+    assert len(kept["first_states"]) == 400
     two = {"trajectory": [0, 0, 1, 2], "stage": [1, 2, 1, 1], "elapsed_s": [1.0, 2.0, 1.0, 1.0], "action": "A"}
     ends = {"trajectory": [0, 1, 2], "end_s": [2.0, 1.0, 1.0], "ending": "finished", "cause": None}
     two |= {"reward": [-0.1, 1.0, 0.5, -0.4]}

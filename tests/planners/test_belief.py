@@ -207,6 +207,6 @@ def test_a_bound_by_looks_needs_labels_that_are_as_good_for_clean_as_for_dirty()
             return accuracy, (1.0 - accuracy) / 2.0
 
     config = WorldConfig(grasping=GRASPING, seeing=Skewed())
-    with pytest.raises(ArgumentError, match="reveals is 'looks', and labels are not right as often"):
+    with pytest.raises(ArgumentError, match="reveals is 'looks', but labels are not equally accurate"):
         information_relaxation_bound(TWO, config, 2)
     assert solve_table(TWO, config, 2).value < information_relaxation_bound(TWO, config, 2, reveals="hidden").value

@@ -85,14 +85,14 @@ def test_pruning_keeps_only_what_is_best_somewhere():
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"T": TIGER[0][:2]}, r"T has shape \(2, 2, 2\); R of shape \(3, 2\) asks for \(3, 2, 2\)"),
-        ({"T": TIGER[0] * 0.9}, r"T\[0, 0\] sums to 0.9; probabilities sum to 1"),
-        ({"O": TIGER[1] * [-1.0, 1.0]}, r"O\[0, 0, 0\] is -0.85; a probability is ≥ 0"),
+        ({"T": TIGER[0][:2]}, r"T has shape \(2, 2, 2\); R of shape \(3, 2\) needs \(3, 2, 2\)"),
+        ({"T": TIGER[0] * 0.9}, r"T\[0, 0\] sums to 0.9; give probabilities that sum to 1"),
+        ({"O": TIGER[1] * [-1.0, 1.0]}, r"O\[0, 0, 0\] is -0.85; give probabilities ≥ 0"),
         ({"R": np.where(TIGER[2] == 10.0, np.nan, TIGER[2])}, r"R\[1, 1\] is nan; give a finite number"),
         ({"R": [1.0, 2.0]}, r"R has shape \(2,\); give 2 axes"),
         ({"initial_belief": [0.5, 0.6]}, r"initial_belief sums to 1.1"),
-        ({"discount": 1.5}, r"discount is 1.5; it lies in \(0, 1\]"),
-        ({"horizon": 0}, "horizon is 0; at least one action"),
+        ({"discount": 1.5}, r"discount is 1.5; give a number in \(0, 1\]"),
+        ({"horizon": 0}, "horizon is 0; give at least 1"),
     ],
 )
 def test_what_is_no_problem_is_refused(change, says):
@@ -102,7 +102,7 @@ def test_what_is_no_problem_is_refused(change, says):
 
 
 def test_steps_beyond_the_horizon_are_refused():
-    with pytest.raises(ArgumentError, match="steps_to_go is 3; it lies in 1 to the horizon, 2"):
+    with pytest.raises(ArgumentError, match="steps_to_go is 3; give 1 to the horizon, 2"):
         solve_discrete(*TIGER, 0.95, 2, [0.5, 0.5]).value_of([0.5, 0.5], steps_to_go=3)
 
 

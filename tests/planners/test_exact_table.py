@@ -103,18 +103,18 @@ def test_a_step_more_is_never_a_loss():
         (solve_table, {"horizon": 0}, "horizon is 0"),
         (solve_table, {"horizon": 2, "num_grip_nodes": 0}, "num_grip_nodes is 0"),
         (solve_table, {"scene": np.zeros((0, 0))}, "objects is 0"),
-        (solve_table, {"config": WorldConfig(dirty_share=1.0)}, "dirty_share is 1; it lies between"),
+        (solve_table, {"config": WorldConfig(dirty_share=1.0)}, "dirty_share is 1; it must lie strictly between"),
         (
             solve_table,
             {"config": WorldConfig(seeing=AssumedSeeing(floor=0.7))},
-            "a label's probability of object 0 is 1; it lies between",
+            "a label's probability of object 0 is 1; it must lie strictly between",
         ),
         (solve_table, {"horizon": 10, "max_states": 1000}, "2 objects over 10 steps have more than 1,000 .* shorten"),
         (information_relaxation_bound, {"horizon": 0}, "horizon is 0"),
-        (information_relaxation_bound, {"num_samples": 1}, "num_samples is 1; at least 2"),
+        (information_relaxation_bound, {"num_samples": 1}, "num_samples is 1; give at least 2"),
         (information_relaxation_bound, {"num_grip_nodes": 0}, "num_grip_nodes is 0"),
-        (information_relaxation_bound, {"reveals": "nothing"}, "reveals is 'nothing'; it is one of looks, hidden, eve"),
-        (information_relaxation_bound, {"scene": np.zeros((13, 13))}, "13 objects; the bound takes 1 to 12"),
+        (information_relaxation_bound, {"reveals": "nothing"}, "reveals is 'nothing'; give one of looks, hidden, eve"),
+        (information_relaxation_bound, {"scene": np.zeros((13, 13))}, "13 objects; the bound needs 1 to 12"),
     ],
 )
 def test_what_cannot_be_found_is_refused(find, arguments, message):
@@ -159,11 +159,11 @@ def test_in_every_state_of_the_world_q_is_what_all_futures_say(played):
 def test_a_state_of_another_table_or_another_horizon_is_refused(played):
     optimum = solve_table(TWO, CONFIG, 4)
 
-    with pytest.raises(ArgumentError, match="5 steps to go; give one of 2 objects with 1 to 4 steps"):
+    with pytest.raises(ArgumentError, match="5 steps to go; give a state of 2 objects with 1 to 4 steps"):
         optimum.q_values(replace(played[0], steps_to_go=np.asarray(5)))
     with pytest.raises(ArgumentError, match="attempt 1, on object -1, is not possible"):
         optimum.q_values(replace(played[0], steps_to_go=np.asarray(3)))
-    with pytest.raises(ArgumentError, match=r"log-odds of object 0 are 0\.5, with 0 of it seen; .* away"):
+    with pytest.raises(ArgumentError, match=r"log-odds of object 0 are 0\.5, with 0 of it seen; .* differ by"):
         optimum.q_values(replace(played[0], log_odds=np.full(2, 0.5)))
 
 
@@ -223,7 +223,7 @@ def test_several_policies_are_worth_what_each_is_by_itself_for_the_draws_of_the_
     [
         ([], None, "policies is empty; give at least one"),
         ([AlwaysWashTheFirst()], None, r"policy chose action 1 with objects \[1\] on the table"),
-        ([UniformPolicy()], 0, "max_states is 0; at least 1"),
+        ([UniformPolicy()], 0, "max_states is 0; give at least 1"),
     ],
 )
 def test_what_has_no_value_is_refused(policies, max_states, message):

@@ -123,7 +123,7 @@ def test_the_value_of_a_policy_is_what_it_earns():
         (team_of(1, grasping=AssumedGrasping()), "AssumedGrasping, whose attempts may take any time"),
         (team_of(2), "have more than 100 states .*shorten the horizon"),
         (team_of(1, drop_out_rate=(0.1, 0.1)), "drop_out_rate is given"),
-        (team_of(1, grasping=GraspingByRobot((GridGrasping(), GridGrasping()))), "laws of grasping of their own"),
+        (team_of(1, grasping=GraspingByRobot((GridGrasping(), GridGrasping()))), "has its own law of grasping"),
     ],
 )
 def test_what_cannot_be_solved_is_refused(config, told):

@@ -319,8 +319,8 @@ def test_a_trajectory_that_is_over_is_refused(state):
         ({"seconds": 1.0, "num_simulations": 3}, "give one of the two"),
         ({"seconds": 0.0}, "seconds is 0.0"),
         ({"seconds": float("nan")}, "seconds is nan"),
-        ({"num_simulations": 0}, "num_simulations is 0; it is at least 1"),
-        ({"seconds": 1.0, "planning_horizon": 0}, "planning_horizon is 0; it is at least 1"),
+        ({"num_simulations": 0}, "num_simulations is 0; give at least 1"),
+        ({"seconds": 1.0, "planning_horizon": 0}, "planning_horizon is 0; give at least 1"),
     ],
 )
 def test_a_wrong_number_is_refused(budget, said):

@@ -207,5 +207,5 @@ def test_what_another_is_at_ends_as_its_own_law_says():
 def test_a_law_that_can_only_be_drawn_from_is_told():
     world = world_of(None, Nudging())
     state, _ = start(world.played_config, first_layout(world), KEY)
-    with pytest.raises(ArgumentError, match="grasping of the config is Nudging, a law that can be drawn from but"):
+    with pytest.raises(ArgumentError, match="grasping of the config is Nudging, which can be sampled but"):
         MyopicPolicy(world.played_config).q_values(state)

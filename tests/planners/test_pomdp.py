@@ -143,9 +143,9 @@ def test_more_simulations_earn_no_less_on_the_same_tables():
 @pytest.mark.parametrize(
     ("numbers", "says"),
     [
-        ({"planning_horizon": 0}, "planning_horizon is 0; it is at least 1"),
-        ({"num_simulations": 0}, "num_simulations is 0; it is at least 1"),
-        *(({"planning_horizon": wrong}, f"{wrong}; it is a whole number") for wrong in (1.5, np.nan, np.inf)),
+        ({"planning_horizon": 0}, "planning_horizon is 0; give at least 1"),
+        ({"num_simulations": 0}, "num_simulations is 0; give at least 1"),
+        *(({"planning_horizon": wrong}, f"{wrong}; give a whole number") for wrong in (1.5, np.nan, np.inf)),
     ],
 )
 def test_numbers_that_are_none_are_refused(numbers, says):

@@ -59,7 +59,7 @@ def test_a_table_gets_a_possible_action_a_reason_and_the_same_again(name):
         assert NAMES[int(TABLES[name].decide(NOW.state, random.key_of(0)).action)] == decision.action
     if name == "heuristic":
         assert (decision.q_values, decision.intervals, decision.chance_best) == ({}, {}, {})
-        assert "by GreedyPolicy; it is in plain sight, nothing is known yet of" in decision.reason
+        assert "by GreedyPolicy; it is in plain sight, not labelled yet" in decision.reason
 
 
 def test_named_actions_answer_through_the_same_door():
@@ -253,16 +253,15 @@ SURE = {"log_odds": [0.5, 0.5, 3.0]}
             {},
             {"WASH_0": 1.2, "LIFT_2": 2.0},
             None,
-            "LIFT 2: worth 0.80 more than WASH 0; it would lay bare 62% of object 0 and 30% of object 1, of which "
-            "nothing is known yet; as for WASH 0, it is half hidden (0.62), and nothing is known yet of whether it is "
-            "dirty.",
+            "LIFT 2: worth 0.80 more than WASH 0; it would uncover 62% of object 0 and 30% of object 1, not labelled "
+            "yet; as for WASH 0, it is half hidden (0.62), and not labelled yet.",
         ),
         (
             {},
             {"LIFT_0": 2.0, "FINISH": 0.0},
             None,
-            "LIFT 0: worth 2.00 more than FINISH; it would show its own hidden 62%, of which nothing is known yet; as "
-            "for FINISH, nothing is known yet of the 3 objects left.",
+            "LIFT 0: worth 2.00 more than FINISH; it would show its own hidden 62%, not labelled yet; as for "
+            "FINISH, none of the 3 objects left is labelled yet.",
         ),
         (
             SURE,
@@ -289,7 +288,7 @@ def test_a_lift_is_told_by_what_it_would_reveal_and_a_wash_by_how_sure_it_is(cha
         (
             {"log_odds": [-2.5, -3.0, -0.1]},
             {"FINISH": 0.0},
-            "FINISH: worth 9.00 more than WASH 0; the likeliest dirty of the 3 objects left, 2, is in plain sight and "
+            "FINISH: worth 9.00 more than WASH 0; the object most likely dirty of the 3 left, 2, is in plain sight and "
             "as likely clean as dirty (0.48); as for WASH 0,",
         ),
     ],
@@ -307,7 +306,7 @@ def test_what_a_wrong_wash_costs_is_told_once_and_where_it_is_known():
 
 def test_how_sure_it_is_stands_with_what_it_is_worth():
     worths = {"FINISH": 1.0, "WASH_0": 0.5}
-    assert ", and best with a chance of 71%; nothing" in reason({}, worths, {"FINISH": 0.71, "WASH 0": 0.29})
+    assert ", and best with a chance of 71%; none" in reason({}, worths, {"FINISH": 0.71, "WASH 0": 0.29})
     doubted = reason({}, worths, {"FINISH": 0.3, "WASH 0": 0.7})
     assert "best with a chance of 30%; WASH 0 is likelier best (70%), but the logs bear it out less;" in doubted
 

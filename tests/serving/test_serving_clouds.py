@@ -252,7 +252,7 @@ def test_names_and_columns_that_a_folder_has_not_are_refused(recorded, shows, tm
     assert "it came as JSON, and now a cloud" in refused(post(recorded, shows(*CANS)), 409)
     # A name that is gone makes a log that nobody reads.
     other = [{**objects[0], "object": "cup"}]
-    assert "lists it no more" in refused(recorded.post("/decide", json={"objects": other}), 422)
+    assert "no longer lists it" in refused(recorded.post("/decide", json={"objects": other}), 422)
     recorded.post("/end", json={"ending": "cut", "cause": "operator"})
     assert "object 0 is a number, those before are text" in refused(post(recorded, shows(*CANS)), 422)
     assert recorded.get("/health").json()["recording"]["trajectory"] is None

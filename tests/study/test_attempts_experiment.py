@@ -193,7 +193,7 @@ def test_without_a_law_it_says_that_there_are_no_attempts():
     pieces = Pieces(TINY.prepare(setting), {}, [TINY.repeat(setting, {}, k) for k in range(2)])
     section = TINY.section(setting, TINY.tabulate(setting, pieces))
     assert (len(section.sentences), section.num_leading, section.drawings, section.listings) == (1, 0, (), ())
-    assert section.sentences[0].startswith("There are no attempts of a cell to test an SVM")
+    assert section.sentences[0].startswith("There are no attempts of a cell on which to test an SVM")
 
 
 @pytest.mark.parametrize(
@@ -208,7 +208,7 @@ def test_the_answer_is_told_either_way(gain, told):
     setting, design = Setting(()), Attempts()
     section = design.section(setting, design.tabulate(setting, attempt_pieces(gain)))
     assert section.sentences[0].startswith("On physical attempts (")
-    assert f"the SVM predicts what will hold {told} (" in section.sentences[0]
+    assert f"the SVM predicts success {told} (" in section.sentences[0]
     assert section.drawings[0].title == f"On physical attempts, the SVM predicts {told}"
     assert "1 of 144 fits" in section.drawings[0].caption
     assert "the assumed laws have" in section.sentences[2]

@@ -92,7 +92,7 @@ def test_where_nothing_was_cut_all_treatments_are_one_and_an_unknown_one_is_refu
     for treatment in TREATMENTS:
         for ours, other in zip(seen(treatment, False), unweighted, strict=True):
             np.testing.assert_array_equal(ours, other)
-    with pytest.raises(ArgumentError, match="'ignored'; it is one of imputed, weighted, unweighted, dropped, failures"):
+    with pytest.raises(ArgumentError, match="'ignored'; give one of imputed, weighted, unweighted, dropped, failures"):
         seen("ignored")
 
 

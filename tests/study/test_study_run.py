@@ -172,10 +172,10 @@ def test_a_study_without_laws_has_one_curve_of_what_is_learned_and_laws_for_othe
     ("whole", "changed", "message"),
     [
         (SETTING, {"repetitions": 1}, "repetitions is 1; "),
-        (TINY[0], {"table_num_trajectories": 30}, "table_num_trajectories is 30; it is one of num_trajectories"),
-        (TINY[0], {"table_cut_share": 0.3}, "table_cut_share is 0.3; it is one of cut_shares"),
+        (TINY[0], {"table_num_trajectories": 30}, "table_num_trajectories is 30; give one of num_trajectories"),
+        (TINY[0], {"table_cut_share": 0.3}, "table_cut_share is 0.3; give one of cut_shares"),
         (TINY[1], {"horizons": (3, 2)}, "horizons is .3, 2.; give at least two"),
-        (TINY[2], {"compared_num_trajectories": 30}, "compared_num_trajectories is 30; it is one of num_trajectories"),
+        (TINY[2], {"compared_num_trajectories": 30}, "compared_num_trajectories is 30; give one of num_trajectories"),
         (TINY[4], {"cut_share": 1.0}, "cut_share of the map is 1"),
     ],
 )

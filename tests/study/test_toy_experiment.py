@@ -95,7 +95,7 @@ def test_it_is_run_drawn_claimed_and_reported(folder):
         '<span class="verdict supported">supported</span>',
         "two &lt;cups&gt;",
         "halfseen study --repetitions 4 --seed 0 --law assumed --only coin",
-        "how often labels err is assumed, not estimated: that a grasp takes 9 times as long",
+        "laws of grasping and seeing are assumed, not estimated: a grasp takes 9 times as long",
         "num_throws",
     ):
         assert words.casefold() in page.casefold()
@@ -145,7 +145,7 @@ def test_a_claim_that_fails_is_said_to_fail(tmp_path, bias, words):
 def test_a_piece_that_was_changed_is_not_believed(copied, change):
     file = copied / "progress" / "coin" / "repetition-00001.json"
     file.write_text(file.read_text().replace(*change, 1))
-    with pytest.raises(ArgumentError, match=r"00001.json cannot be read .*; remove it and go on with --resume"):
+    with pytest.raises(ArgumentError, match=r"00001.json cannot be read .*; remove it and run again with --resume"):
         run(copied, is_resumed=True)
 
 

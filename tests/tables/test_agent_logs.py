@@ -184,16 +184,14 @@ def test_an_attempt_that_never_left_home_is_nobodys():
 
 
 def test_what_cannot_be_told_is_refused(team_logs):
-    with pytest.raises(ArgumentError, match="robot is 7, and it decides in no stage"):
+    with pytest.raises(ArgumentError, match="robot is 7, which decides in no stage"):
         agent_view(team_logs, 7)
     without = Logs(team_logs.stages.drop(columns="0_reward"), team_logs.trajectories, team_logs.objects)
     with pytest.raises(LogError, match="no column '0_reward'"):
         agent_view(without, 0)
     logs = one_by_one(ROWS[:2], {"end_s": 3.0, "ending": "finished", "cause": None})
     logs.objects.at[2, "attempt_occlusions"], logs.objects.at[2, "attempt_succeeded"] = [0.0] * 2, [False] * 2
-    with pytest.raises(
-        LogError, match="trajectory 0, stage 2, object 0: it was tried more often than by the WASH and LIFT"
-    ):
+    with pytest.raises(LogError, match="trajectory 0, stage 2, object 0: it has more attempts than the WASH and LIFT"):
         agent_view(logs, 0)
 
 

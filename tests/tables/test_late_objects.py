@@ -80,7 +80,7 @@ def test_what_is_not_in_view_yet_changes_nothing_of_what_is_decided():
 
 def test_an_object_that_is_not_listed_again_is_named():
     with pytest.raises(
-        LogError, match="trajectory 0, stage 2, object 'fork': stage 3 lists it no more; list an object from"
+        LogError, match="trajectory 0, stage 2, object 'fork': stage 3 no longer lists it; list an object from"
     ):
         states_of(late([["cup", "mug"], ["cup", "fork", "mug"], ["cup", "mug"]]), 4)
 

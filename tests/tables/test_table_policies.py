@@ -126,7 +126,7 @@ def test_cuts_at_a_table_may_depend_on_the_attempt():
     fitted = CensoredQLearner.for_table(10, censoring=Weighted(Cox(ridge=1.0), by="pooled"), reg=1.0).fit(logs)
     names = fitted.cut_model_.fitted[0].model.covariates_
     assert names == ["num_objects", "mean_occlusion", "action=FINISH", "action=WASH", "target_occlusion"]
-    with pytest.raises(ArgumentError, match="'weather' is none of a table's: num_objects, mean_occlusion, action"):
+    with pytest.raises(ArgumentError, match="'weather' is not one of a table's: num_objects, mean_occlusion, action"):
         CensoredQLearner.for_table(10, laws=None, censoring=Weighted("cox", covariates=["weather"])).fit(logs)
 
 
@@ -169,10 +169,10 @@ def test_the_prior_is_the_column_and_where_there_is_none_the_mean_of_the_first_s
 
 def test_what_tells_no_prior_is_refused():
     for shares in ([0.3, 0.5], [1.0, 1.0]):
-        with pytest.raises(LogError, match=r"trajectories: dirty_share goes from \S+ to \S+; one policy has one prior"):
+        with pytest.raises(LogError, match=r"trajectories: dirty_share goes from \S+ to \S+; a policy has one prior"):
             logged_dirty_share(log_of(dirty_share=shares))
     logs = log_of()
-    with pytest.raises(LogError, match="objects: the log has none"):
+    with pytest.raises(LogError, match="objects: the log has no objects table"):
         logged_dirty_share(Logs(logs.stages.drop(columns="object"), logs.trajectories))
 
 
@@ -181,5 +181,5 @@ def test_it_is_a_task_whose_blocks_are_verbs_and_whose_features_have_no_names():
     names = [Verb(block).name for block in TableTask().block_of_action(1 + 2 * NUM_OBJECTS)]
     assert [name.split()[0] for name in ActionSpace(NUM_OBJECTS).names] == names
     np.testing.assert_array_equal(TableTask().block_of_action(5), [0, 1, 1, 2, 2])
-    with pytest.raises(ArgumentError, match="on a table the outcome regression uses all features"):
+    with pytest.raises(ArgumentError, match="the outcome regression of a table uses all features; leave it out"):
         TableTask().outcome_features(["occlusion"])

@@ -59,16 +59,16 @@ def test_what_a_log_tells_of_its_own_policy_is_the_probability_that_was_logged(t
 
 def test_what_does_not_say_how_it_draws_is_not_known(trajectories):
     assert np.isnan(table_probabilities(Whimsical(), trajectories.states)).all()
-    with pytest.raises(ArgumentError, match="Whimsical draws its actions, so that a state does not tell what it does"):
+    with pytest.raises(ArgumentError, match="Whimsical draws its actions, so a state does not determine them"):
         decisions(Whimsical(), trajectories.states)
 
 
 def test_what_is_for_others_is_refused(trajectories):
-    with pytest.raises(ArgumentError, match="str decides nothing about tables"):
+    with pytest.raises(ArgumentError, match="str does not decide about tables"):
         table_probabilities("greedy", trajectories.states)
     with pytest.raises(PolicyError, match="GreedyPolicy decides for one robot"):
         table_probabilities(GreedyPolicy(WorldConfig()), trajectories.states)
-    with pytest.raises(PolicyError, match="the policy is for 4 robots, and the team has"):
+    with pytest.raises(PolicyError, match="the policy is for 4 robots, but the team has"):
         table_probabilities(IndependentPolicies((RULE,) * 4), trajectories.states)
 
 

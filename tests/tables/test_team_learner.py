@@ -93,9 +93,9 @@ def test_a_base_that_is_given_is_improved_upon(logs):
 @pytest.mark.parametrize(
     ("base", "error", "told"),
     [
-        ("each", ArgumentError, "base is 'each'; it is None, 'auto', or a policy of a team"),
+        ("each", ArgumentError, "base is 'each'; give None, 'auto' or a policy of a team"),
         (RULE, PolicyError, "GreedyPolicy decides for one robot"),
-        (IndependentPolicies((RULE,) * 3), PolicyError, "the policy is for 3 robots, and the team has 2"),
+        (IndependentPolicies((RULE,) * 3), PolicyError, "the policy is for 3 robots, but the team has 2"),
         (ExploringPolicy(TeamOfRules(RULE)), ArgumentError, "ExploringPolicy draws its actions"),
     ],
 )
@@ -108,7 +108,7 @@ def test_q_is_of_the_best_policy_where_the_log_does_not_tell_each_robots_reward(
     some = Logs(logs.stages.drop(columns="1_reward"), logs.trajectories, logs.objects)
     learner = CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(some)
     assert learner.policy_.base is None
-    assert any("what each robot does alone cannot be learned: stages: there is no" in told for told in learner.chosen_)
+    assert any("policies of single robots cannot be learned: stages: there is no" in told for told in learner.chosen_)
 
 
 @pytest.mark.slow
@@ -127,11 +127,11 @@ def test_what_was_never_seen_completed_has_no_value():
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        ((0,), "num_robots is 0; a team has a whole number of robots, at least 1"),
-        ((2.5,), "num_robots is 2.5; a team has a whole number"),
+        ((0,), "num_robots is 0; give a whole number of at least 1"),
+        ((2.5,), "num_robots is 2.5; give a whole number"),
         (("2",), "num_robots is '2'"),
         ((True,), "num_robots is True"),
-        ((2, "3"), "horizon is '3'; give the decisions of each robot, a whole number, at least 1"),
+        ((2, "3"), "horizon is '3'; give a whole number of at least 1"),
         ((2, 2.5), "horizon is 2.5"),
         ((2, 0), "horizon is 0"),
     ],
@@ -156,8 +156,8 @@ def test_each_for_itself_does_what_is_possible_and_keeps_its_own_policy():
 @pytest.mark.parametrize(
     ("learner", "told"),
     [
-        (CensoredQLearner.for_team(3, horizon=5), "of 2 robots, and it is to be learned for 3"),
-        (CensoredQLearner.for_table(10), "of 2 robots, and one table's policy decides for one; learn it with"),
+        (CensoredQLearner.for_team(3, horizon=5), "the log has 2 robots, but num_robots is 3"),
+        (CensoredQLearner.for_table(10), "the log has 2 robots, but a table policy decides for one; learn with"),
     ],
     ids=["of another team", "of one robot"],
 )
@@ -174,7 +174,7 @@ def test_the_log_of_one_robot_is_none_of_a_team():
 @pytest.mark.parametrize("num_robots", [2, 3])
 def test_a_policy_of_another_number_of_robots_does_not_play(learned, num_robots):
     policy = learned.policy_ if num_robots == 3 else ReservingPolicy(team_of(3), RULE)
-    with pytest.raises(PolicyError, match=f"is for {5 - num_robots} robots, and the team has {num_robots}"):
+    with pytest.raises(PolicyError, match=f"is for {5 - num_robots} robots, but the team has {num_robots}"):
         check_fits(policy, team_of(num_robots))
 
 
@@ -187,5 +187,5 @@ def test_what_a_team_does_not_know_is_refused(logs, change):
     for column, value in change.items():
         stages.loc[row, column] = value
     broken = Logs(stages, logs.trajectories, logs.objects)
-    with pytest.raises(LogError, match="is none that a team knows; give WASH or LIFT with an object"):
+    with pytest.raises(LogError, match="is unknown to a team; give WASH or LIFT with an object"):
         CensoredQLearner.for_team(2, horizon=5).fit(broken)

@@ -103,9 +103,9 @@ def one_stage(ends):
     ("ends", "says"),
     [
         ([(2.0, True)], "1 trajectory, which was not cut; every trajectory counts once"),
-        ([(2.0, False)], "1 trajectory: it was cut, by unknown; what was seen stands badly"),
+        ([(2.0, False)], "1 trajectory: it was cut, by unknown; what was seen cannot safely stand"),
         ([(2.0, True), (3.0, True)], "2 trajectories, none of them cut"),
-        ([(2.0, False), (3.0, False)], "2 trajectories: all were cut, by unknown; what was seen stands badly"),
+        ([(2.0, False), (3.0, False)], "2 trajectories: all were cut, by unknown; what was seen cannot safely stand"),
     ],
 )
 def test_the_smallest_logs_have_a_page_without_empty_parts(ends, says):
@@ -129,7 +129,7 @@ def test_what_is_earned_is_told_of_today_and_in_an_hour():
     said = standing(known).replace("\u00a0", " ")
     assert said == (
         "The best estimate is 1.50 parts a trajectory: 150 % of today’s (130 to 170 %) and 360 parts an hour (288 to "
-        "432), where today’s is 180."
+        "432), against 180 today."
     )
     assert why_no_hours(known) == ""
     assert standing(evaluation()) == ""
@@ -186,7 +186,7 @@ def test_every_section_and_figure_is_there_and_the_answer_comes_first(page, find
     first = "The learned policy is better than the logging policy: it earns <this> much."
     assert text.index(first) < text.index("What it is worth")
     for words in (
-        "The policy was learned from these very logs, which flatters it",
+        "The policy was learned from these logs, which biases its value upwards",
         "The cause of all cuts is".lower(),
         "What was recorded explains the cuts.",
         "The logged probabilities are right.",
@@ -246,9 +246,9 @@ def test_a_log_without_cuts_says_so_and_assumes_nothing_of_them(stored, monkeypa
     monkeypatch.setattr(page_module, "inline_svg", lambda *_: Markup("<svg></svg>"))
     told = found(stored, hostile_log(cut_after_s=1e6))
     page = page_of(told, "x")
-    assert "No trajectory was cut: each was watched to its own end." in page
+    assert "No trajectory was cut: each was observed to its end." in page
     assert "explains the cuts" not in page
-    assert "learned from other logs than these" in page
+    assert "learned from other logs" in page
     assert told.policy.curves[0].low is None
 
 
@@ -289,7 +289,7 @@ def test_a_policy_of_tables_is_told_by_its_verbs(tmp_path):
 def test_a_page_is_replaced_only_where_that_is_asked_for(tmp_path):
     file = tmp_path / "new" / "report.html"
     write_page(f"{MARK} first", file)
-    with pytest.raises(ArgumentError, match="it is there already"):
+    with pytest.raises(ArgumentError, match="it already exists"):
         write_page(f"{MARK} second", file)
     write_page(f"{MARK} second", file, overwrite=True)
     assert file.read_text() == f"{MARK} second"

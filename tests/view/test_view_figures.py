@@ -215,7 +215,7 @@ VALUES = {"FINISH": -2.0, **{f"{verb} {k}": 1.0 - 0.1 * k for verb in ("WASH", "
 DECISION = Decision(
     action="LIFT 0",
     q_values=VALUES | {"LIFT 0": 1.5, "WASH 4": None},
-    reason="LIFT 0: worth 0.50 more than WASH 0; it would lay bare 42% of object 3, of which nothing is known yet.",
+    reason="LIFT 0: worth 0.50 more than WASH 0; it would uncover 42% of object 3, not labelled yet.",
     warnings=("num_objects is 5, outside the logs (1 to 3); Q is extrapolated",),
     intervals={name: (q - 0.2, q + 0.2) for name, q in (VALUES | {"LIFT 0": 1.5}).items() if name != "WASH 4"},
     chance_best={name: 0.61 if name == "LIFT 0" else 0.04 for name in VALUES if name != "WASH 4"},
@@ -255,7 +255,7 @@ def test_what_is_said_stands_on_the_picture_and_bars_only_where_values_are_known
     assert sum(bool(re.fullmatch(r"(WASH|LIFT) \d", one)) for one in words) == MOST_BARS + 1
     named = Decision("soft", {"soft": 0.58, "suction": 0.51, "stop": None}, "soft: worth 0.07 more than suction.")
     told = " ".join(words_on(tmp_path / "d.svg", named))
-    assert "how sure nobody knows" in told
+    assert "no interval known" in told
     assert "suction" in told
     assert "stop" not in told
     rule = Decision("WASH 1", {}, "WASH 1: by GreedyPolicy.")

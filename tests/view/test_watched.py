@@ -163,12 +163,12 @@ def test_what_is_not_there_is_told(kept):
         return Logs(stages, logs.trajectories, logs.objects)
 
     for given, error, words in (
-        ((logs, folder, 9), ArgumentError, "--trajectory is 9, and the log has 4 trajectories"),
+        ((logs, folder, 9), ArgumentError, "--trajectory is 9, but the log has 4 trajectories"),
         ((of_stages(logs.stages.drop(columns="cloud")), folder, 1), ArgumentError, "no column 'cloud'"),
         ((logs, folder / "elsewhere", 1), CloudError, "no such file"),
         ((of_stages(logs.stages.assign(cloud="../look.pcd")), folder, 1), ArgumentError, "is not in"),
         ((of_stages(logs.stages.assign(cloud=str(folder.parent / "look.pcd"))), folder, 1), ArgumentError, "is not in"),
-        ((of_stages(logs.stages.assign(cloud=None)), folder, 1), ArgumentError, "no cloud was kept"),
+        ((of_stages(logs.stages.assign(cloud=None)), folder, 1), ArgumentError, "no cloud is stored"),
     ):
         with pytest.raises(error, match=words):
             watched_logs(*given)
@@ -211,7 +211,7 @@ def test_a_recording_comes_back_as_it_was_and_is_replaced_only_where_that_is_ask
 def test_a_broken_recording_is_told(tmp_path, file, harm):
     write_recording(run(), tmp_path / "run")
     harm(tmp_path / "run" / file)
-    with pytest.raises(ArgumentError, match=r"run: not a whole recording .*; record it again"):
+    with pytest.raises(ArgumentError, match=r"run: not a complete recording .*; record it again"):
         read_recording(tmp_path / "run")
 
 

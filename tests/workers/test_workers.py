@@ -165,10 +165,10 @@ def test_an_address_at_which_nobody_answers_is_told(engine, address):
 @pytest.mark.parametrize(
     ("told", "words"),
     [
-        ({"engine": "spark"}, "--engine spark: there are processes, ray, dask"),
-        ({"address": "there"}, "--address there: processes of this machine have none; name an --engine"),
-        ({"engine": "ray", "address": "there", "num": 2}, "--workers 2: the cluster at there has its own"),
-        ({"num": 0}, "--workers 0: it takes at least 1"),
+        ({"engine": "spark"}, "--engine spark: choose among processes, ray, dask"),
+        ({"address": "there"}, "--address there: processes of this machine have no address; name an --engine"),
+        ({"engine": "ray", "address": "there", "num": 2}, "--workers 2: the cluster at there sets its own number"),
+        ({"num": 0}, "--workers 0: give at least 1"),
     ],
 )
 def test_workers_that_there_cannot_be_are_refused(told, words):

@@ -73,7 +73,7 @@ def test_a_large_table_is_told_in_few_lines():
     values = np.linspace(0.0, 1.0, 41)
     told = str(explained(values, values[None], np.ones(41, dtype=bool)))
     assert len(told.splitlines()) == 11
-    assert "and 33 that are worth less" in told
+    assert "and 33 more that are worth less" in told
 
 
 @pytest.mark.parametrize(

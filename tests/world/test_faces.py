@@ -339,7 +339,7 @@ def test_steps_out_of_turn_are_refused(face):
     with pytest.raises(ArgumentError, match="has not begun; call reset"):
         env.step(0)
     env.reset(seed=0)
-    with pytest.raises(ArgumentError, match=f"action is {last + 1}; it lies in 0 to {last}"):
+    with pytest.raises(ArgumentError, match=f"action is {last + 1}; give 0 to {last}"):
         env.step(last + 1)
-    with pytest.raises(ArgumentError, match="scene is 2; there are scenes 0 to 0"):
+    with pytest.raises(ArgumentError, match="scene is 2; give 0 to 0"):
         env.reset(options={"scene": 2})

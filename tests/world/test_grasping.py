@@ -143,20 +143,20 @@ BARE = {"base_m": (0.0, 0.0), "reach_m": 1.0, "name": "robot"}
 @pytest.mark.parametrize(
     ("wrong", "told"),
     [
-        (lambda: check_law(3, "left: grasping"), r"left: grasping is 3, no law of grasping of one robot; give one"),
+        (lambda: check_law(3, "left: grasping"), r"left: grasping is 3, not a law of grasping of one robot; give one"),
         (
             lambda: check_robot({**BARE, "grasping": AssumedGrasping}),
-            "robot: grasping is <class .*, no law of grasping",
+            "robot: grasping is <class .*, not a law of grasping",
         ),
         (lambda: Robot((0.0, 0.0), 1.0, grasping=GraspingByRobot((LOGISTIC,))), "robot: grasping is GraspingByRobot"),
         (lambda: GraspingByRobot(()), r"laws is \(\): give the law"),
         (
             lambda: GraspingByRobot((LOGISTIC, GraspingByRobot((LOGISTIC,)))),
-            r"laws\[1\] is GraspingByRobot.*, no law of grasping of one robot",
+            r"laws\[1\] is GraspingByRobot.*, not a law of grasping of one robot",
         ),
         (
             lambda: replace(WORLD, grasping=GraspingByRobot((LOGISTIC,)), speed=(1.0, 1.0)),
-            "grasping of the world has laws for 1 robots, and the team has 2; give each its own, or all one",
+            "grasping has laws for 1 robots, but the team has 2; give one law for each robot, or one for all",
         ),
     ],
 )

@@ -95,7 +95,7 @@ def test_what_is_not_there_cannot_be_held():
 @pytest.mark.parametrize(
     ("config", "message"),
     [
-        (WorldConfig(grasping=Nudging()), "grasping of the config is Nudging, a law that can be drawn from but"),
+        (WorldConfig(grasping=Nudging()), "grasping of the config is Nudging, which can be sampled but"),
         (WorldConfig(seeing=Persisting()), "seeing of the config is Persisting, .* plan with a config"),
     ],
 )
@@ -106,7 +106,7 @@ def test_planners_say_which_law_they_do_not_know(config, message):
 
 def test_a_policy_that_needs_no_law_decides_under_any(episodes):
     state = picked(episodes.states, (0, 0))
-    with pytest.raises(ArgumentError, match="planners need them"):
+    with pytest.raises(ArgumentError, match="which planners need"):
         table_of(OTHER, state)
     with pytest.raises(ArgumentError, match="Nudging"):
         GreedyPolicy(OTHER).decide(state, random.key_of(0))
@@ -115,7 +115,7 @@ def test_a_policy_that_needs_no_law_decides_under_any(episodes):
 
 
 def test_times_are_told_only_of_a_law_that_has_them():
-    with pytest.raises(ArgumentError, match="grasping is Nudging, whose times are not known: use 'hidden'"):
+    with pytest.raises(ArgumentError, match="grasping is Nudging, whose times are not known; use 'hidden'"):
         information_relaxation_bound(THREE, WorldConfig(grasping=Nudging()), horizon=2, reveals="everything")
 
 
@@ -249,7 +249,7 @@ def test_no_label_makes_the_truth_certain(curves):
         ({"sensitivity": (0.5, 0.4, 0.6, 0.9)}, "sensitivity is .* never falling"),
         (
             {"false_alarms": (0.1, 0.2)},
-            r"false_alarms is \(0\.1, 0\.2\); give numbers in \[0, 1\], 4 as there are views",
+            r"false_alarms is \(0\.1, 0\.2\); give numbers in \[0, 1\], one for each of the 4 views",
         ),
         ({"sensitivity": (0.5, 0.6, 0.7, 1.2)}, "sensitivity is"),
     ],

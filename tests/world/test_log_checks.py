@@ -54,7 +54,7 @@ def refused(told, read, logs):
 @pytest.mark.parametrize(
     ("column", "value", "told"),
     [
-        ("location", "SINK", "location is none of"),
+        ("location", "SINK", "location is not one of"),
         ("hidden_by", [0.0] * 9, "hidden_by does not give one share"),
         ("attempt_occlusions", [0.5], "attempt_occlusions and attempt_succeeded differ"),
         ("seen", 1.5, r"seen is outside \[0, 1\]; give a share"),
@@ -75,14 +75,14 @@ def test_an_object_that_vanishes_is_named(alone):
     acted = stages.loc[(stages["trajectory"] == trajectory) & (stages["stage"] == 2), "object"].fillna(-1).iloc[0]
     gone = next(k for k in range(3) if k != acted)
     kept = ~((objects["trajectory"] == trajectory) & (objects["stage"] == 2) & (objects["object"] == gone))
-    told = f"trajectory {trajectory}, stage 1, object {gone}: stage 2 lists it no more"
+    told = f"trajectory {trajectory}, stage 1, object {gone}: stage 2 no longer lists it"
     refused(told, lambda logs: states_of(logs, 10), Logs(stages, alone.trajectories, objects[kept]))
 
 
 def test_a_log_without_objects_or_with_too_many_stages_is_refused(alone):
     nothing = Logs(alone.stages.drop(columns="object"), alone.trajectories)
     fewer = Logs(alone.stages, alone.trajectories, alone.objects.drop(columns="lifts"))
-    refused("the log has none", lambda logs: states_of(logs, 10), nothing)
+    refused("the log has no objects table", lambda logs: states_of(logs, 10), nothing)
     refused("there is no column 'lifts' among", lambda logs: states_of(logs, 10), fewer)
     refused("more than horizon=2", lambda logs: states_of(logs, 2), alone)
 
@@ -97,20 +97,23 @@ READERS = pytest.mark.parametrize(
 @pytest.mark.parametrize(
     ("values", "told"),
     [
-        ({"robot": 7}, r"trajectory 0, stage 1: robot is 7, but its columns tell of robots 0 to 1"),
-        ({"1_does": "WASH"}, r"stage 1: 1_does is 'WASH'; it is FREE, PARKED"),
+        ({"robot": 7}, r"trajectory 0, stage 1: robot is 7, but the columns are of robots 0 to 1"),
+        ({"1_does": "WASH"}, r"stage 1: 1_does is 'WASH'; give one of FREE, PARKED"),
         ({"1_does": "DANCE 1"}, r"1_does is 'DANCE 1'"),
         (
             {"0_does": "WASH 1"},
-            r"trajectory 0, stage 1: 0_does is 'WASH 1', yet robot 0 decides; it decides when it is FREE",
+            r"trajectory 0, stage 1: 0_does is 'WASH 1', yet robot 0 decides; a robot decides only when it is FREE",
         ),
         ({"0_does": "OUT"}, "0_does is 'OUT', yet robot 0 decides"),
-        ({"1_does": "WASH 7"}, "1_does is 'WASH 7', and no trajectory has more than 4 objects, from 0"),
+        ({"1_does": "WASH 7"}, "1_does is 'WASH 7', but no trajectory has more than 4 objects, counted from 0"),
         ({"1_since_s": -1.0}, r"1_since_s is -1.0, below 0"),
-        ({"1_decisions_to_go": -1}, "1_decisions_to_go is -1, no count"),
-        ({"1_decisions_to_go": 2.5}, "1_decisions_to_go is 2.5, no count"),
+        ({"1_decisions_to_go": -1}, "1_decisions_to_go is -1, not a count"),
+        ({"1_decisions_to_go": 2.5}, "1_decisions_to_go is 2.5, not a count"),
         ({"0_decisions_to_go": 0}, "0_decisions_to_go is 0, yet robot 0 decides"),
-        ({"action": "WASH", "object": 2, "1_does": "LIFT 2"}, "robot 0 begins with object 2, which robot 1 is at by 1"),
+        (
+            {"action": "WASH", "object": 2, "1_does": "LIFT 2"},
+            "robot 0 begins with object 2, which robot 1 is acting on by 1",
+        ),
     ],
 )
 def test_stages_that_no_team_has_are_refused(team, values, told, read):
@@ -134,7 +137,9 @@ def test_more_decisions_than_a_trajectory_may_have_are_refused(team):
 def test_two_robots_at_one_object_are_refused(frail):
     both = changed(frail, **{"1_does": "WASH 1", "2_does": "LIFT 1"})
     refused(
-        "trajectory 0, stage 1: 1_does is 'WASH 1', and 2_does the same object", lambda logs: states_of(logs, 15), both
+        "trajectory 0, stage 1: 1_does is 'WASH 1', and 2_does names the same object",
+        lambda logs: states_of(logs, 15),
+        both,
     )
 
 
@@ -142,12 +147,12 @@ def test_two_robots_at_one_object_are_refused(frail):
 @pytest.mark.parametrize(
     ("column", "value", "told"),
     [
-        ("reached_by", [0, 2], r"object 0: reached_by names a robot that there is none of; .* 0 to 1 \(it is .*0, 2"),
-        ("reached_by", [0.5], "names a robot that there is none of"),
-        ("near", [0, 4], r"object 0: near names an object that the stage has not"),
-        ("near", [-1], "names an object that the stage has not"),
+        ("reached_by", [0, 2], r"object 0: reached_by names an unknown robot; .* 0 to 1 \(it is .*0, 2"),
+        ("reached_by", [0.5], "names an unknown robot"),
+        ("near", [0, 4], r"object 0: near names an object that the stage lacks"),
+        ("near", [-1], "names an object that the stage lacks"),
         ("attempt_by", [], r"object \d: attempt_by and attempt_occlusions differ in length; give the robot of each"),
-        ("attempt_by", [2], r"object \d: attempt_by names a robot that there is none of; .* robots 0 to 1 .*2"),
+        ("attempt_by", [2], r"object \d: attempt_by names an unknown robot; .* robots 0 to 1 .*2"),
     ],
 )  # fmt: skip
 def test_lists_that_name_what_there_is_not_are_refused(team, column, value, told, read):
@@ -160,12 +165,12 @@ def test_lists_that_name_what_there_is_not_are_refused(team, column, value, told
 def test_who_acts_beyond_its_reach_is_refused(team, read):
     acts = team.stages[(team.stages["robot"] == 0) & team.stages["object"].notna()].iloc[0]
     nobody = Logs(team.stages, team.trajectories, team.objects.assign(reached_by=[[1]] * len(team.objects)))
-    refused(f"robot 0 begins with object {acts['object']}, which it does not reach", read, nobody)
+    refused(f"robot 0 begins with object {acts['object']}, which reached_by says it cannot reach", read, nobody)
 
 
 @READERS
 def test_a_drop_out_of_a_robot_that_there_is_none_of_is_refused(team, read):
-    told = r"trajectories: column '5_out_s' is of a robot .*; the stages tell of robots 0 to 1: "
+    told = r"trajectories: column '5_out_s' is of an unknown robot; the stages have robots 0 to 1: "
     refused(told, read, Logs(team.stages, team.trajectories.assign(**{"5_out_s": np.nan}), team.objects))
 
 

@@ -102,7 +102,7 @@ def test_agents_out_of_turn_and_their_text():
         env.step(0)
     env.reset(seed=0)
     assert env.render().startswith("robot 0 decides, 0.0 s\nleft: free")
-    with pytest.raises(ArgumentError, match="action of robot_0 is None, and it goes on"):
+    with pytest.raises(ArgumentError, match="action of robot_0 is None, but the agent is still active"):
         env.step(None)
     with pytest.raises(ArgumentError, match="render_mode is 'human'"):
         agents(render_mode="human")

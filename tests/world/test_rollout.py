@@ -279,7 +279,7 @@ def test_an_impossible_share_is_refused(played, share):
 
 
 def test_an_unknown_kind_is_refused_by_name(played):
-    with pytest.raises(ArgumentError, match="'sunspots'; it is one of independent, occlusion, attempt"):
+    with pytest.raises(ArgumentError, match="'sunspots'; give one of independent, occlusion, attempt"):
         unit_hazards(played, "sunspots")
 
 

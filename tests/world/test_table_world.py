@@ -116,13 +116,13 @@ def test_a_policy_for_three_robots_plays_with_three_and_with_no_other_number(pol
     three = TableWorld(WORLD.config, [*TEAM, TEAM[0]])
     for explores in (lambda policy: policy, ExploringPolicy):
         assert len(three.evaluate(SCENES, explores(policy), 2, 0).reward) == 2
-        with pytest.raises(PolicyError, match="the policy is for 3 robots, and the team has 2"):
+        with pytest.raises(PolicyError, match="the policy is for 3 robots, but the team has 2"):
             WORLD.evaluate(SCENES, explores(policy), 2, 0)
 
 
 @pytest.mark.parametrize("policy", [RULE, ExploringPolicy(RULE)])
 def test_a_policy_of_one_robot_is_to_be_wrapped(policy):
-    told = "GreedyPolicy decides for one robot, .*; give .*, with such a policy for each robot, or ReservingPolicy"
+    told = "GreedyPolicy decides for one robot, .*; give .* with such a policy for each robot, or ReservingPolicy"
     for play_with in (WORLD.simulate, WORLD.evaluate):
         with pytest.raises(PolicyError, match=told):
             play_with(SCENES, policy, 2, 0)
@@ -130,7 +130,7 @@ def test_a_policy_of_one_robot_is_to_be_wrapped(policy):
 
 def test_what_nobody_reaches_is_told_of_and_left():
     short = TableWorld(robots=[Robot((-0.6, 0.0), 0.4)])
-    with pytest.warns(HalfseenWarning, match=r"two: object 1 at \(0.3, 0\) m is in no robot's reach"):
+    with pytest.warns(HalfseenWarning, match=r"two: object 1 at \(0.3, 0\) m is out of every robot's reach"):
         logs = short.simulate(SCENES[1], UniformPolicy(), 20, seed=0)
     assert not logs.stages["object"].eq(1).any()
     left = logs.objects[logs.objects["object"] == 1]
@@ -140,7 +140,7 @@ def test_what_nobody_reaches_is_told_of_and_left():
 
 def test_what_nobody_reaches_is_paid_for_as_left():
     short = TableWorld(robots=[Robot((-0.6, 0.0), 0.4)])
-    with pytest.warns(HalfseenWarning, match="in no robot's reach"):
+    with pytest.warns(HalfseenWarning, match="out of every robot's reach"):
         layouts = short.layouts([SCENES[1]])
     played = play(short.played_config, layouts, UniformPolicy(), random.key_of(0), 60)
     parks_at_once, is_dirty = np.asarray(played.action)[:, 0] == 0, np.asarray(played.hidden.is_dirty)

@@ -97,12 +97,12 @@ SECOND = "trajectory 0, stage 2"
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"robot": 7}, f"{SECOND}: robot is 7, but its columns tell of robots 0 to 1"),
-        ({"object": 2}, f"{SECOND}: robot 1 begins with object 2, which robot 0 is at by 0_does"),
-        ({"0_does": "WASH 9"}, f"{SECOND}: 0_does is 'WASH 9', and no trajectory has more than 4 objects"),
-        ({"object": 0}, f"{SECOND}: robot 1 begins with object 0, which it does not reach"),
-        ({"objects": "somewhere"}, f"{SECOND}, object 0: location is none of TABLE, DISHWASHER, LOST"),
-        ({"objects": "fewer"}, "trajectory 0, stage 1, object 0: stage 2 lists it no more"),
+        ({"robot": 7}, f"{SECOND}: robot is 7, but the columns are of robots 0 to 1"),
+        ({"object": 2}, f"{SECOND}: robot 1 begins with object 2, which robot 0 is acting on by 0_does"),
+        ({"0_does": "WASH 9"}, f"{SECOND}: 0_does is 'WASH 9', but no trajectory has more than 4 objects"),
+        ({"object": 0}, f"{SECOND}: robot 1 begins with object 0, which reached_by says it cannot reach"),
+        ({"objects": "somewhere"}, f"{SECOND}, object 0: location is not one of TABLE, DISHWASHER, LOST"),
+        ({"objects": "fewer"}, "trajectory 0, stage 1, object 0: stage 2 no longer lists it"),
     ],
 )
 def test_what_no_team_learns_from_is_refused_when_it_is_told(logs, tmp_path, change, told):
@@ -126,7 +126,7 @@ def test_what_no_team_learns_from_is_refused_when_it_is_told(logs, tmp_path, cha
             begin(trajectory, logs, second, **change)
         assert "\n" not in str(refused.value)
         begin(trajectory, logs, second)
-        with pytest.raises(LogError, match=r"column '2_out_s' is of a robot that there is none of"):
+        with pytest.raises(LogError, match=r"column '2_out_s' is of an unknown robot"):
             trajectory.drop_out(2, "battery", elapsed_s=1.0)
         trajectory.complete_stage(0.0, elapsed_s=2.0, own_rewards=[0.0, 0.0])
         trajectory.finish()

@@ -163,14 +163,14 @@ class Arm:
     def __post_init__(self) -> None:
         if self.num_joints < LEAST_JOINTS:
             raise SceneError(
-                f"arm {self.name!r} has {self.num_joints} joints; to point its hand it needs {LEAST_JOINTS}"
+                f"arm {self.name!r} has {self.num_joints} joints; it needs at least {LEAST_JOINTS} to point its hand"
             )
         require_positive(f"arm {self.name!r}", self, ("base_mass_kg", "base_radius_m"))
         require_finite(f"arm {self.name!r}", self, ("flange_m",))
         if self.begins_rad is not None and len(self.begins_rad) != self.num_joints:
             raise SceneError(
-                f"arm {self.name!r} has {self.num_joints} joints and begins_rad {len(self.begins_rad)} ranges; "
-                "give one for every joint, or None"
+                f"arm {self.name!r} has {self.num_joints} joints and begins_rad has {len(self.begins_rad)} "
+                "ranges; give one for every joint, or None"
             )
 
     @property

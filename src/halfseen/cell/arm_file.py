@@ -190,8 +190,8 @@ def _compiled(path: Path) -> mujoco.MjModel:
         return spec.compile()
     except ValueError as error:
         raise SceneError(
-            f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}; give an arm's MJCF file, with meshes and "
-            "textures where it says"
+            f"{path}: MuJoCo cannot read it: {' '.join(str(error).split())}; give an arm's MJCF file, with its "
+            "meshes and textures at the paths it names"
         ) from error
 
 

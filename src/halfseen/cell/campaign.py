@@ -224,8 +224,8 @@ def working_folder(target: Path, what: str, refuse: Callable[[], None] = lambda:
             write_file(described, what)
         elif (held := read_text(described)) != what:
             raise ArgumentError(
-                f"{folder}: it holds what was stopped of another run ({held[:500]}), and this is "
-                f"{what}; call that again to go on with it, remove the folder, or choose another --out"
+                f"{folder}: it holds another run that was stopped ({held[:500]}), and this run is {what}; "
+                "repeat that command to continue it, remove the folder, or choose another --out"
             )
         yield folder
         done = _aside(folder)
@@ -250,8 +250,8 @@ def logs_of(folder: Path, tables: Sequence[int]) -> Logs:
     if not seen:
         causes = ", ".join(sorted({run.cause for run in runs.values() if run.cause is not None}))
         raise LogError(
-            f"{folder}: all {len(runs)} tables were cut ({causes}) before anything was decided, so there is nothing to "
-            "read; run more tables, or mend what cuts them"
+            f"{folder}: all {len(runs)} tables were cut ({causes}) before anything was decided, so there are no "
+            "stages to read; run more tables, or fix what cuts them"
         )
     return joined([read_logs(place) for place in seen])
 
@@ -266,7 +266,7 @@ def _run_of(place: Path) -> Run:
         return TeamRun(**run) if "num_collisions" in run else Run(**run)
     except (ValueError, TypeError) as error:
         raise LogError(
-            f"{place / RUN_FILE}: it tells of no run ({error}); remove {place}, and it is made again"
+            f"{place / RUN_FILE}: it does not describe a run ({error}); remove {place} to run that table again"
         ) from error
 
 

@@ -74,8 +74,8 @@ def find_chain(
     found = _joints_between(model, name, still, tip) if named is None else named
     if len(found) < LEAST_JOINTS:
         raise SceneError(
-            f"{name}: the arm has {len(found)} joints as far as body {model.body(tip).name!r}, and needs "
-            f"{LEAST_JOINTS} to point its hand; name its flange, or its joints: there are {_listed(_hinges(model))}"
+            f"{name}: the arm has {len(found)} joints up to body {model.body(tip).name!r}, but needs "
+            f"{LEAST_JOINTS} to point its hand; name its flange or its joints; available: {_listed(_hinges(model))}"
         )
     last = int(model.jnt_bodyid[found[-1]])
     mounted = mounted or _found_flange(model, last)
@@ -90,7 +90,7 @@ def _number(model: mujoco.MjModel, name: str, kind: mujoco.mjtObj, wanted: str) 
     if number < 0:
         what = {_BODY: "body", _JOINT: "joint"}[kind]
         there = _hinges(model) if kind == _JOINT else _names(model, _BODY)
-        raise SceneError(f"{name}: there is no {what} {wanted!r}; there are {_listed(there)}")
+        raise SceneError(f"{name}: no {what} is named {wanted!r}; available: {_listed(there)}")
     return number
 
 
@@ -101,7 +101,7 @@ def _named_flange(model: mujoco.MjModel, name: str, wanted: str) -> Flange:
     if body >= 0:
         return Flange(body, Pose((0.0, 0.0, 0.0)), is_of_hand=True)
     there = [*_names(model, _SITE), *_names(model, _BODY)]
-    raise SceneError(f"{name}: there is no site or body {wanted!r} for a flange; there are {_listed(there)}")
+    raise SceneError(f"{name}: no site or body for a flange is named {wanted!r}; available: {_listed(there)}")
 
 
 def _found_flange(model: mujoco.MjModel, last: int) -> Flange:
@@ -165,8 +165,8 @@ def _joints_between(model: mujoco.MjModel, name: str, begin: int, end: int) -> t
     if len(found) > len(hinges):
         other = next(joint for joint in found if joint not in hinges)
         raise SceneError(
-            f"{name}: the arm's joint {model.joint(other).name!r} is no hinge; name those that are its joints, and "
-            f"what is not named stays as it is: there are {_listed(_hinges(model))}"
+            f"{name}: the arm's joint {model.joint(other).name!r} is not a hinge; name the joints that move "
+            f"(the others stay fixed); available: {_listed(_hinges(model))}"
         )
     return tuple(hinges)
 
@@ -177,8 +177,10 @@ def _require_row(model: mujoco.MjModel, name: str, joints: Sequence[int], path: 
     listed = _listed(model.joint(joint).name for joint in between)
     for joint in joints:
         if joint not in between:
-            trouble = "is no hinge" if model.jnt_type[joint] != _HINGE else "does not lie between base and flange"
-            raise SceneError(f"{name}: joint {model.joint(joint).name!r} {trouble}; those that do are {listed}")
+            trouble = "is not a hinge" if model.jnt_type[joint] != _HINGE else "does not lie between base and flange"
+            raise SceneError(
+                f"{name}: joint {model.joint(joint).name!r} {trouble}; the hinges between them are {listed}"
+            )
     if sorted(set(joints), key=between.index) != list(joints):
         given = _listed(model.joint(joint).name for joint in joints)
         raise SceneError(f"{name}: the joints {given} are not in the order from base to flange, which is {listed}")

@@ -85,7 +85,7 @@ class Executor:
 
     def begin(self, arm: int, activity: Activity[Any]) -> None:
         """Start an activity of an idle arm."""
-        assert not self.is_busy(arm), "an arm does one thing at a time"
+        assert not self.is_busy(arm), "an arm runs one activity at a time"
         self._workers[arm] = _Worker(activity)
 
     def is_busy(self, arm: int) -> bool:

@@ -190,7 +190,7 @@ def put_away(
     over, down = _ways(kinematics, plan, middle_m - np.array(plan.held.position_m), slot_m, begins)
     into = with_home(cell, robot, np.concatenate([over[None], down, down[-2::-1], over[None]]))
     if not (yield Reserve(into, with_home(cell, robot, plan.way_back), below_m=plan.below_m)):
-        raise GaveWayError("another arm stood between it and the rack, so it gave way")
+        raise GaveWayError("another arm was between this arm and the rack, so this arm gave way")
     yield Move(over[None], _CARRYING)
     yield Move(down, _RACKING)
     yield Grip(plan.grasp.opening_m, seconds=0.4)
@@ -215,7 +215,7 @@ def _ways(
             found.append(way)
     if not found:
         x_m, y_m, z_m = slot_m
-        raise PlanError(f"the rack's slot at ({x_m:.3f}, {y_m:.3f}, {z_m:.3f}) m is out of reach as the hand holds")
+        raise PlanError(f"the rack's slot at ({x_m:.3f}, {y_m:.3f}, {z_m:.3f}) m is out of reach with this grasp")
     return min(found, key=lambda way: float(np.abs(way[0] - begins[0]).max()))
 
 

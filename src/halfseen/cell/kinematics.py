@@ -127,7 +127,7 @@ class Kinematics:
                 x_m, y_m, z_m = self._data.site(self._tcp).xpos
                 raise PlanError(
                     f"the arm would touch furniture with its hand at ({x_m:.3f}, {y_m:.3f}, {z_m:.3f}) m; "
-                    "come from another side"
+                    "approach from another side"
                 )
 
     def nearest_turn(self, angles_rad: Angles, near_rad: Angles) -> Angles:
@@ -204,10 +204,10 @@ def line(kinematics: Kinematics, begin_rad: Angles, begin: Pose, end_m: Float[np
         x_m, y_m, z_m = (float(value) for value in here_m + (end_m - here_m) * step / num_steps)
         found = kinematics.solve(Pose((x_m, y_m, z_m), begin.quaternion), angles, num_steps=40)
         if found is None or np.abs(found - angles).max() > _LARGEST_TURN_RAD:
-            trouble = "is out of reach" if found is None else "would need the arm folded over"
+            trouble = "is out of reach" if found is None else "would need the arm to flip over"
             raise PlanError(
-                f"the line to ({end_m[0]:.3f}, {end_m[1]:.3f}, {end_m[2]:.3f}) m breaks off at ({x_m:.3f}, {y_m:.3f}, "
-                f"{z_m:.3f}) m, which {trouble}; come from another side"
+                f"the line to ({end_m[0]:.3f}, {end_m[1]:.3f}, {end_m[2]:.3f}) m breaks off at ({x_m:.3f}, "
+                f"{y_m:.3f}, {z_m:.3f}) m, which {trouble}; approach from another side"
             )
         way.append(found)
         angles = found

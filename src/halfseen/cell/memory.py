@@ -155,7 +155,7 @@ class Memory:
         here = [known for known in self.objects if not known.is_gone and known not in in_hand]
         found = matched(_middles_m(here), now_m)
         self.doubts = tuple(
-            f"which object is number {self.objects.index(known)} is doubtful: another is nearly as near"
+            f"the match of object {self.objects.index(known)} is ambiguous: another object is nearly as near"
             for known, is_doubtful in zip(here, found.is_doubtful.tolist(), strict=True)
             if is_doubtful
         )

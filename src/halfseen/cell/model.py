@@ -58,8 +58,8 @@ class Robot:
     def __post_init__(self) -> None:
         if len(self.home_rad) != self.arm.num_joints:
             raise SceneError(
-                f"robot {self.name!r}: home_rad has {len(self.home_rad)} angles and its arm {self.arm.num_joints} "
-                "joints; give one angle for every joint, or let `robot_of` find them"
+                f"robot {self.name!r}: home_rad has {len(self.home_rad)} angles and its arm has "
+                f"{self.arm.num_joints} joints; give one angle for every joint, or let `robot_of` find them"
             )
 
     def of(self, part: str) -> str:

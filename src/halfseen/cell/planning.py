@@ -112,9 +112,9 @@ def plans(
         if len(refusals) == MOST_PLANS:
             break
     if not tried:
-        raise PlanError("no grasp is free: something stands in the way of each; clear what is next to it first")
+        raise PlanError("every grasp is blocked; clear what is next to the object first")
     if len(refusals) == len(tried):
-        raise OutOfReachError(f"no grasp is within reach; of {len(refusals)} that were tried the best: {refusals[0]}")
+        raise OutOfReachError(f"no grasp is within reach; the best of {len(refusals)} tried: {refusals[0]}")
 
 
 def _is_alike(grasp: Grasp, other: Grasp) -> bool:
@@ -305,11 +305,14 @@ def _too_far(robot: Robot) -> str:
     reach_m = max(float(np.linalg.norm(kinematics.hand(angles).position_m - base_m)) for angles in drawn)
     away_m = {
         what: float(np.linalg.norm(np.array(place_m) - base_m))
-        for what, place_m in (("where it waits", HOME_M), ("over the table's middle", PLACES_M[len(PLACES_M) // 2]))
+        for what, place_m in (
+            ("where it waits", HOME_M),
+            ("over the middle of the table", PLACES_M[len(PLACES_M) // 2]),
+        )
     }
     return (
-        f"arm {robot.arm.name!r}: its hand reaches {reach_m:.2f} m from the base, and must point down, free of "
-        "furniture, "
+        f"arm {robot.arm.name!r}: its hand reaches {reach_m:.2f} m from the base, but must point down, clear of "
+        "furniture, at "
         + " and ".join(f"{distance_m:.2f} m from it {what}" for what, distance_m in away_m.items())
-        + "; stand the base elsewhere, turn it, or take a longer arm"
+        + "; move the base, turn it, or use a longer arm"
     )

@@ -105,8 +105,9 @@ class Workcell:
         if not table.is_over_top.all():
             index = int(np.argmin(table.is_over_top))
             raise SceneError(
-                f"{table.name}: the middle of cup {index} is at {table.centroid_m[index].round(2).tolist()} m, off the "
-                f"table, whose top is {TABLE_TOP_M} m high and {TABLE_SIZE_M} m wide about the origin; put it there"
+                f"{table.name}: the middle of cup {index} is at {table.centroid_m[index].round(2).tolist()} m, "
+                f"off the table, whose top is {TABLE_TOP_M} m high and {TABLE_SIZE_M} m wide about the origin; "
+                "move it onto the table"
             )
         self.stations = tuple(stations)
         robots, racks = [each.robot for each in self.stations], [each.rack for each in self.stations]
@@ -303,7 +304,7 @@ class Workcell:
             yield Reserve(way, way)
             yield from fetching.open_hand(planned)
             yield from fetching.draw_back(self.cell, robot, planned)
-        reason = "" if is_held else "the hand closed on nothing, or lost it"
+        reason = "" if is_held else "the hand closed on nothing, or lost the object"
         return Attempt(is_held, duration_s, planned.grasp.kind, reason), planned
 
     def _free_plan(self, number: int, arm: int) -> Activity[Plan | None]:
@@ -319,7 +320,7 @@ class Workcell:
     def _plans(self, number: int, arm: int) -> Iterator[Plan]:
         sight = self._sight(number)
         if sight is None:
-            raise PlanError("the object is not in view; look again, or clear what stands before it")
+            raise PlanError("the object is not in view; look again, or clear what stands in front of it")
         robot = self.stations[arm].robot
         around, gripper = surroundings(sight.view, sight.seen), robot.gripper
         failed = self.memory.objects[number].failed

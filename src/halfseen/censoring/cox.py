@@ -244,9 +244,9 @@ class Cox(Estimator):
 
     def _check_parameters(self) -> None:
         if self.ties not in ("efron", "breslow"):
-            raise ArgumentError(f"ties is {self.ties!r}; it is 'efron' or 'breslow'")
+            raise ArgumentError(f"ties is {self.ties!r}; give 'efron' or 'breslow'")
         if not (isinstance(self.ridge, Real) and 0 <= float(self.ridge) < np.inf):
-            raise ArgumentError(f"ridge is {self.ridge!r}; it is a finite number ≥ 0")
+            raise ArgumentError(f"ridge is {self.ridge!r}; give a finite number ≥ 0")
 
 
 def _maximise(
@@ -282,8 +282,8 @@ def _refuse_unidentified(information: Float[np.ndarray, "p p"], num_cuts: int, n
     if (own <= NO_INFORMATION * num_cuts).any():
         column = int(np.argmin(own))
         raise ArgumentError(
-            f"covariates, {names[column]}: the same for all trajectories still watched, whenever one was cut; leave it "
-            "out, or give ridge > 0"
+            f"covariates, {names[column]}: equal for all trajectories at risk at every cut; leave it out, or "
+            "give ridge > 0"
         )
     correlation = information / np.sqrt(np.outer(own, own))
     eigenvalues, directions = np.linalg.eigh(correlation)
@@ -309,8 +309,8 @@ def _refuse_separation(
 def _without_end(name: str) -> ArgumentError:
     """Error: the partial likelihood is monotone in the coefficient of this covariate."""
     return ArgumentError(
-        f"covariates, {name}: its coefficient runs off to infinity, since it tells perfectly which of the trajectories "
-        "still watched is cut next; leave it out, give ridge > 0, or use KaplanMeier"
+        f"covariates, {name}: its coefficient diverges, because it predicts perfectly which of the trajectories "
+        "at risk is cut next; leave it out, give ridge > 0, or use KaplanMeier"
     )
 
 

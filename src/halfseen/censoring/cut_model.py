@@ -156,7 +156,7 @@ class CensoringSpec:
     def __post_init__(self) -> None:
         named_model(self.model)
         if self.by not in CENSORING_BY:
-            raise ArgumentError(f"by is {self.by!r}; it is {', '.join(map(repr, CENSORING_BY[:-1]))} or 'pooled'")
+            raise ArgumentError(f"by is {self.by!r}; give {', '.join(map(repr, CENSORING_BY[:-1]))} or 'pooled'")
         if isinstance(self.covariates, str):
             raise ArgumentError(f"covariates is {self.covariates!r}; give a list of names")
         checked_truncation(self.truncate_at)
@@ -252,9 +252,9 @@ def _refuse_unknown(trajectories: StageClocks, wanted: Bool[np.ndarray, "n T"]) 
         trajectory, stage = np.argwhere(unknown)[0]
         name = trajectories.covariate_names[int(np.argmax(np.isnan(trajectories.covariates[trajectory, stage])))]
         raise ArgumentError(
-            f"trajectory {trajectories.trajectory_ids[trajectory]}, stage {stage + 1}: {name} is not known, and cuts "
-            "are to depend on it; log the action of the stage in which a trajectory is cut, or leave 'action' out of "
-            "censoring_covariates"
+            f"trajectory {trajectories.trajectory_ids[trajectory]}, stage {stage + 1}: {name} is not known, but "
+            "the model of the cuts uses it; log the action of the stage in which a trajectory is cut, or leave "
+            "'action' out of censoring_covariates"
         )
 
 

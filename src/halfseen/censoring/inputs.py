@@ -38,8 +38,8 @@ def checked_ends(time: ArrayLike, is_finished: ArrayLike, name: str = "time") ->
     if wrong.any():
         row = int(np.argmax(wrong))
         raise ArgumentError(
-            f"{name}, row {row}: {ends[row]} is no end of a trajectory; give a finite time after the trajectory's "
-            "beginning, > 0 s"
+            f"{name}, row {row}: {ends[row]} is not the end of a trajectory; give a finite time after the "
+            "trajectory's beginning, > 0 s"
         )
     return ends, finished
 
@@ -50,7 +50,7 @@ def checked_floats(values: ArrayLike, name: str, ndim: int = 1) -> np.ndarray:
     try:
         floats = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{name} is not made of numbers ({error}); give an array of floats") from error
+        raise ArgumentError(f"{name} is not numeric ({error}); give an array of floats") from error
     if floats.ndim != ndim:
         raise ArgumentError(f"{name} has shape {floats.shape}; give {ndim} ax{'e' if ndim > 1 else 'i'}s")
     return floats
@@ -72,7 +72,7 @@ def checked_times(u: ArrayLike) -> Float[np.ndarray, "..."]:
     times = np.asarray(u, dtype=np.float64)
     if np.isnan(times).any():
         row = int(np.argmax(np.isnan(times.ravel())))
-        raise ArgumentError(f"u, row {row}: nan is no time; leave out the stages that were not completed")
+        raise ArgumentError(f"u, row {row}: nan is not a time; leave out the stages that were not completed")
     return times
 
 
@@ -97,7 +97,9 @@ def _checked_bools(values: ArrayLike, name: str) -> RowMask:
     if wrong.any():
         row = int(np.argmax(wrong))
         value = flags[row : row + 1].tolist()[0]
-        raise ArgumentError(f"{name}, row {row}: {value!r} is neither; give True where finished and False where cut")
+        raise ArgumentError(
+            f"{name}, row {row}: {value!r} is neither True nor False; give True where finished and False where cut"
+        )
     return flags.astype(np.bool_)
 
 
@@ -135,15 +137,17 @@ def checked_covariates(
             f"covariates has {len(values)} rows for {num_rows} trajectories; give one row per trajectory"
         )
     if values.shape[1] != len(found):
-        raise ArgumentError(f"covariates has {values.shape[1]} columns, and the fit had {len(found)}; give the same")
+        raise ArgumentError(
+            f"covariates has {values.shape[1]} columns, but the fit had {len(found)}; give the same columns"
+        )
     if values.shape[1] == 0:
         raise ArgumentError("covariates has no columns; give at least one, or use KaplanMeier")
     wrong = np.argwhere(~np.isfinite(values))
     if len(wrong):
         row, column = wrong[0]
         raise ArgumentError(
-            f"covariates, row {row}, {found[column]}: {values[row, column]} is no value; fill it in, or leave the "
-            "trajectory out knowingly"
+            f"covariates, row {row}, {found[column]}: {values[row, column]} is not a value; fill it in, or "
+            "leave the trajectory out knowingly"
         )
     sizes = np.abs(values).max(axis=0, initial=0.0)
     extreme = np.flatnonzero((sizes > LARGEST) | ((sizes > 0.0) & (sizes < 1.0 / LARGEST)))
@@ -182,8 +186,8 @@ def refuse_constant(covariates: Float[np.ndarray, "n p"], names: list[str]) -> N
     if constant.any():
         column = int(np.argmax(constant))
         raise ArgumentError(
-            f"covariates, {names[column]}: {covariates[0, column]:g} in every row, which tells no trajectory from "
-            "another; leave it out"
+            f"covariates, {names[column]}: {covariates[0, column]:g} in every row, so it does not distinguish "
+            "trajectories; leave it out"
         )
 
 
@@ -205,7 +209,7 @@ def _matrix(covariates: Any) -> Float[np.ndarray, "n p"]:
     try:
         values = np.asarray(covariates, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ArgumentError(f"covariates is not made of numbers ({error}); encode categories as numbers") from error
+        raise ArgumentError(f"covariates is not numeric ({error}); encode categories as numbers") from error
     if values.ndim != 2:
         raise ArgumentError(
             f"covariates has shape {values.shape}; give one row per trajectory and one column per covariate"
@@ -232,6 +236,6 @@ def _table_values(table: pd.DataFrame, names: list[str] | None) -> Float[np.ndar
             columns.append(np.asarray(table[name].astype("float64")))
         except (TypeError, ValueError) as error:
             raise ArgumentError(
-                f"covariates, {name}: not made of numbers ({error}); encode its categories as numbers"
+                f"covariates, {name}: not numeric ({error}); encode its categories as numbers"
             ) from error
     return np.stack(columns, axis=1) if columns else np.empty((len(table), 0))

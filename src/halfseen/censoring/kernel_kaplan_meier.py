@@ -294,9 +294,9 @@ class KernelKaplanMeier(Estimator):
         if len(wrong):
             row, column = wrong[0]
             raise PositivityError(
-                f"covariates, row {row}: no trajectory near it was still watched when others were cut before "
-                f"{per_row[row, column]:g} s, so P(C ≥ {per_row[row, column]:g} s) is not identified at bandwidth "
-                f"{self.bandwidth_:g}; give a larger bandwidth, ask for an earlier time, or use Cox"
+                f"covariates, row {row}: no trajectory near it was still at risk when others were cut before "
+                f"{per_row[row, column]:g} s, so P(C ≥ {per_row[row, column]:g} s) is not identified at "
+                f"bandwidth {self.bandwidth_:g}; give a larger bandwidth, ask for an earlier time, or use Cox"
             )
         return seen.reshape(times.shape)
 
@@ -319,9 +319,9 @@ class KernelKaplanMeier(Estimator):
         is_number = isinstance(self.bandwidth, Real) and not isinstance(self.bandwidth, bool)
         if self.bandwidth != "cv" and not (is_number and float(self.bandwidth) > 0):
             raise ArgumentError(
-                f"bandwidth is {self.bandwidth!r}; it is a number of standard deviations > 0, or 'cv' to choose one"
+                f"bandwidth is {self.bandwidth!r}; give a number of standard deviations > 0, or 'cv' to choose one"
             )
         if self.kernel not in KERNELS:
-            raise ArgumentError(f"kernel is {self.kernel!r}; it is 'gaussian' or 'epanechnikov'")
+            raise ArgumentError(f"kernel is {self.kernel!r}; give 'gaussian' or 'epanechnikov'")
         if self.bandwidth == "cv" and self.num_folds < 2:
             raise ArgumentError(f"num_folds is {self.num_folds}; cross-validation needs at least 2")

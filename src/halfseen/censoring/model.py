@@ -93,7 +93,7 @@ def named_model(censoring: str | CensoringModel) -> CensoringModel:
         return MODELS[censoring]()
     if isinstance(censoring, (str, type)) or not isinstance(censoring, CensoringModel):
         names = ", ".join(repr(name) for name in MODELS)
-        raise ArgumentError(f"censoring is {censoring!r}; it is {names}, or a model with fit and survival")
+        raise ArgumentError(f"censoring is {censoring!r}; give {names}, or a model with fit and survival")
     return deepcopy(censoring)
 
 

@@ -263,7 +263,7 @@ def _draw_weights(axes: Axes, facts: PositivityFacts, title_chars: int = 66) -> 
             va="center",
             fontsize=8.5,
         )
-    axes.set_xlabel("time [s]; dashed: last time that anything is known of")
+    axes.set_xlabel("time [s]; dashed: the end of what is identified")
     axes.set_ylabel("weight, 1/Ĝ")
     _title(axes, _weights_title(facts), title_chars)
 
@@ -280,10 +280,10 @@ def _draw_means(axes: Axes, facts: PositivityFacts, title_chars: int = 40) -> No
     axes.set_ylabel(f"weighted mean {facts.quantity}")
     first, last = rows[0].mean, rows[-1].mean
     if len(rows) == 1:
-        _title(axes, f"All weigh the same, and put the mean at {first:.4g}", title_chars)
+        _title(axes, f"All weights are equal, and the mean is {first:.4g}", title_chars)
         return
     begin = "Unbounded weights" if rows[0].truncate_at is None else f"Weights up to {rows[0].truncate_at:g}"
-    _title(axes, f"{begin} put the mean at {first:.4g}, equal weights at {last:.4g}", title_chars)
+    _title(axes, f"{begin} give a mean of {first:.4g}, equal weights {last:.4g}", title_chars)
 
 
 def _draw_size(axes: Axes, facts: PositivityFacts, title_chars: int = 42) -> None:
@@ -303,7 +303,7 @@ def _draw_size(axes: Axes, facts: PositivityFacts, title_chars: int = 42) -> Non
     axes.text(bounds[-1], FEWEST_EFFECTIVE, "below 10: too few", ha="left", va="bottom", fontsize=8.5, color=CUT_INK)
     _bound_axis(axes, bounds)
     axes.set_ylabel("effective sample size [trajectories]")
-    shown = "Effective sample size of the finishes; in per cent, the weight that the bound takes away"
+    shown = "Effective sample size of the finishes; percentages: weight that the bound removes"
     _title(axes, shown, title_chars)
 
 
@@ -325,10 +325,10 @@ def _bound_axis(axes: Axes, bounds: list[float]) -> None:
 
 def _weights_title(facts: PositivityFacts) -> str:
     if not facts.heaviest:
-        return f"{facts.num_trajectories} trajectories, of which none has a weight"
+        return f"None of {facts.num_trajectories} trajectories has a weight"
     shown = f"{facts.num_finished} of {facts.num_trajectories} trajectories finished"
     if facts.heaviest[0].weight == 1:
-        return f"{shown}, and all weigh 1"
+        return f"{shown}, all with weight 1"
     mass = facts.weights[np.isfinite(facts.weights)]
     share = sum(heavy.weight for heavy in facts.heaviest) / mass.sum()
     few = "the heaviest" if len(facts.heaviest) == 1 else f"the heaviest {len(facts.heaviest)}"

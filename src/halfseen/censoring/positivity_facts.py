@@ -151,7 +151,7 @@ def verdict(facts: PositivityFacts) -> str:
             if facts.num_trajectories == 1
             else f"all {facts.num_trajectories} trajectories were"
         )
-        return f"Nothing to weigh: {every} cut."
+        return f"No weights: {every} cut."
     if facts.has_gap:
         first = min(facts.unidentified, key=lambda trajectory: trajectory.time_s)
         return (
@@ -186,14 +186,14 @@ def remedy(facts: PositivityFacts) -> str:
         if not facts.is_off:
             return ""
         if facts.mean_weight > 1.0:
-            return "The model takes cuts for likelier than they were; try another."
+            return "The model overestimates the probability of cuts; try another."
         return (
-            f"Either the rest finish after {facts.identified_until_s:.4g} s: restrict times to an earlier one (a "
-            "trajectory that outlives it then counts as seen). Or the model takes cuts for rarer than they were: try "
-            "another."
+            f"Either the rest finish after {facts.identified_until_s:.4g} s: restrict times to an earlier one "
+            "(a trajectory that outlives it then counts as seen). Or the model underestimates the probability "
+            "of cuts: try another."
         )
     if size > 0.9 * facts.num_finished:
-        return "Record more trajectories; the weights are not what makes them few."
+        return "Record more trajectories; the weights are not the cause."
     return (
         f"Record more trajectories, shorten the horizon to before {facts.tail_from_s:.4g} s, or truncate the weights "
         "knowingly with truncate_at=…; the table shows what that changes."
@@ -216,7 +216,7 @@ def _size(facts: PositivityFacts) -> str:
 def _until(facts: PositivityFacts) -> str:
     known = f"Nothing is known of finishes after {facts.identified_until_s:.4g} s"
     if facts.num_extrapolated:
-        return f"{known}; {_number(facts.num_extrapolated)} finished later, on the model's word alone."
+        return f"{known}; {_number(facts.num_extrapolated)} finished later, where the model extrapolates."
     reason = "the last trajectory was cut then" if facts.ends_in_cut else "the last trajectory finished then"
     return f"{known}." if facts.unidentified else f"{known}: {reason}."
 
@@ -227,15 +227,18 @@ def _mean_weight(facts: PositivityFacts) -> str:
     missing = 1.0 - facts.mean_weight
     if facts.ends_in_cut and missing > 0.0005 and facts.truncate_at is None and not facts.has_gap:
         return (
-            f"The mean weight is {facts.mean_weight:.3f}, so some {missing:.1%} of trajectories finish later than that."
+            f"The mean weight is {facts.mean_weight:.3f}, so about {missing:.1%} of trajectories finish later "
+            "than that."
         )
-    return f"The mean weight is {facts.mean_weight:.3f}; it is near 1 where the model is right and all can be seen."
+    return (
+        f"The mean weight is {facts.mean_weight:.3f}; it is near 1 if the model is right and every finish can be seen."
+    )
 
 
 def _table(facts: PositivityFacts) -> list[str]:
     if not facts.truncations:
         return []
-    rows = [("weights up to", f"mean {facts.quantity}", "effective sample size", "weight taken away")]
+    rows = [("weights up to", f"mean {facts.quantity}", "effective sample size", "weight removed")]
     for row in facts.truncations:
         bound = "no bound" if row.truncate_at is None else f"{row.truncate_at:.3g}"
         removed = "no end" if row.share_removed is None else f"{row.share_removed:.1%}"

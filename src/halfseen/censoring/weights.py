@@ -53,7 +53,7 @@ class WeightDiagnostics:
 
     def __str__(self) -> str:
         if self.num_seen == 0:
-            return f"None of {self.num_weights} were seen, so there is nothing to weigh."
+            return f"None of {self.num_weights} were seen, so there are no weights."
         truncated = f", and {self.share_truncated:.1%} of the weight is truncated" if self.share_truncated else ""
         return (
             f"{self.num_seen} of {self.num_weights} were seen, with an effective sample size of "
@@ -96,7 +96,7 @@ class WeightTally:
         wrong = np.argwhere(~((values >= 0) & np.isfinite(values)))
         if len(wrong):
             at = tuple(wrong[0].tolist())
-            raise ArgumentError(f"weights{list(at)} is {values[at]}; a weight is finite and ≥ 0")
+            raise ArgumentError(f"weights{list(at)} is {values[at]}; give finite weights ≥ 0")
         if values.any():
             self._total += values.sum()
             self._squares += np.square(values).sum()
@@ -297,7 +297,7 @@ def refuse_improbable(seen: Float[np.ndarray, " k"], describe: Any) -> None:
         k = int(np.argmax(wrong))
         where, _, when = describe(k)
         raise ArgumentError(
-            f"{where}: the censoring model gives P(C ≥ {when:g} s) = {seen[k]}; a probability lies in [0, 1]"
+            f"{where}: the censoring model gives P(C ≥ {when:g} s) = {seen[k]}; a probability must lie in [0, 1]"
         )
 
 

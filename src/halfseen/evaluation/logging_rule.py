@@ -119,7 +119,7 @@ def best_threshold(
 def logit_shares(
     states: Float[np.ndarray, "rows F"], votes: Float[np.ndarray, "fitted A"], fitted: Int[np.ndarray, " fitted"]
 ) -> Float[np.ndarray, "rows A"]:
-    """Multinomial logit on features and their products.
+    """Multinomial logit on features and, unless these outnumber the training rows, their products.
 
     Fitted by accelerated steps with a bound of the curvature [BohningLindsay1988]_. Parameters as in `forest_shares`.
     For a rule without noise the slope of the border diverges, but its position converges long before the steps end.
@@ -127,7 +127,9 @@ def logit_shares(
     spread = states[fitted].std(axis=0)
     scaled = (states - states[fitted].mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
     upper = np.triu_indices(states.shape[1])
-    design = np.column_stack([np.ones(len(states)), scaled, scaled[:, upper[0]] * scaled[:, upper[1]]])
+    is_wide = 1 + states.shape[1] + len(upper[0]) > len(fitted)
+    products = scaled[:, :0] if is_wide else scaled[:, upper[0]] * scaled[:, upper[1]]
+    design = np.column_stack([np.ones(len(states)), scaled, products])
     own, weight = design[fitted], votes.sum(axis=1)
     penalty = np.full(design.shape[1], RIDGE)
     penalty[0] = 1e-8

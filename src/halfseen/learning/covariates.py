@@ -79,7 +79,7 @@ class Covariates:
         missing = [name for name in self.columns if name not in frame.columns]
         if missing:
             there = ", ".join(map(str, frame.columns)) + did_you_mean(missing[0], frame.columns)
-            raise LogError(f"covariate {missing[0]!r} is missing; there are {there}")
+            raise LogError(f"covariate {missing[0]!r} is missing; the columns are {there}")
         numeric = [name for name in self.columns if name not in self.categories]
         numbers = _numbers(frame, numeric)
         if len(numeric) == len(self.columns):
@@ -143,7 +143,7 @@ class Covariates:
         is_null = values.isna().to_numpy()
         if is_null.any():
             where = _place(frame, int(np.argmax(is_null)))
-            raise LogError(f"{where}: covariate {column!r} is null; fill it in, or learn by --missing")
+            raise LogError(f"{where}: covariate {column!r} is null; fill it in, or learn with --missing")
         known = self.categories[column]
         codes = pd.Index(known, dtype=object).get_indexer(values.astype(object).map(str))
         if (codes < 0).any():
@@ -152,12 +152,12 @@ class Covariates:
             for same in (same for same in alike([*known, value]) if value in same):
                 both = " and ".join(spelled_out(same))
                 raise LogError(
-                    f"{_place(frame, row)}: covariate {column!r}: {both} differ only in their spelling, and the log "
-                    "that was learned from never showed both; write it as that log does"
+                    f"{_place(frame, row)}: covariate {column!r}: {both} differ only in spelling, and the "
+                    "training log never has both; write it as that log does"
                 )
             raise LogError(
-                f"{_place(frame, row)}: covariate {column!r} is {value!r}, which the log that was learned from never "
-                f"showed; known are {_listed(known)}: give one of these, or learn again from logs that show {value!r}"
+                f"{_place(frame, row)}: covariate {column!r} is {value!r}, which the training log lacks; give "
+                f"one of {_listed(known)}, or learn again from logs with {value!r}"
             )
         return codes
 
@@ -165,7 +165,7 @@ class Covariates:
 def _numbers(frame: Frame, columns: list[str]) -> Float[np.ndarray, "m F"]:
     for name in columns:
         if not is_numeric(frame, name):
-            raise LogError(f"covariate {name!r} holds no numbers, and no categories of it are known; give numbers")
+            raise LogError(f"covariate {name!r} is not numeric and has no known categories; give numbers")
     values = frame[columns].to_numpy(dtype=np.float64, na_value=np.nan)
     wrong = np.argwhere(~(np.abs(values) <= LARGEST))
     if len(wrong):
@@ -275,7 +275,7 @@ def _trouble(seen: _Seen) -> str | None:
     if isinstance(seen, str):
         return seen
     if len(seen) == 1:
-        return f"is {next(iter(seen))!r} in every stage, so it tells nothing apart; leave it out"
+        return f"is {next(iter(seen))!r} in every stage, so it carries no information; leave it out"
     if max(seen.values()) == 1:
-        return "has no category that two trajectories share, so it names the trajectory; leave it out"
+        return "has no category that two trajectories share, so it only identifies trajectories; leave it out"
     return None

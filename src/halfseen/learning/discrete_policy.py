@@ -213,7 +213,7 @@ class DiscretePolicy:
 
     def _check_stage(self, stage: int) -> None:
         if not 1 <= stage <= self.horizon:
-            raise ArgumentError(f"stage is {stage}; it lies in 1 to the horizon, {self.horizon}")
+            raise ArgumentError(f"stage is {stage}; give 1 to the horizon, {self.horizon}")
 
 
 def has_margin(policy: Any) -> bool:

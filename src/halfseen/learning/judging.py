@@ -106,7 +106,7 @@ def with_stages(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, 
     if model.horizon == 1 or model.task.end_action is not None or trajectories.num_trajectories < FEWEST_HELD_OUT:
         return model, model.chosen
     if not model.is_affordable(trajectories.features.shape[-1]):
-        return model, (*model.chosen, "stages are pooled: to try separate ones, too, would take minutes")
+        return model, (*model.chosen, "stages are pooled: trying separate ones too would take minutes")
     gain, error = _mean_and_error(_gains_of_separate(replace(model, stages="pooled", pessimism=0.0), trajectories))
     found = f"by {gain:.3g} ± {error:.2g} squared error a trajectory"
     if gain > CLEARLY_SEPARATE * error:
@@ -145,7 +145,7 @@ def with_half_life(
     plain = replace(model, half_life=None)
     if trajectories.num_trajectories < FEWEST_TRAJECTORIES:
         why = f"{trajectories.num_trajectories} are too few to choose a half-life"
-        return plain, (f"all trajectories count alike: {why}",)
+        return plain, (f"all trajectories have equal weight: {why}",)
     gains = _gains_of_recency(replace(plain, pessimism=0.0, has_many_actions=False), trajectories)
     best = gains[int(np.argmax(gains.mean(axis=1)))]
     lacks = [_mean_and_error(best - each) for each in gains]
@@ -155,9 +155,12 @@ def with_half_life(
     found = f"({gain:.3g} ± {error:.2g} squared error a trajectory)"
     if best.mean() <= 0.0:
         why = f"no half-life predicts the latest ones better {found}"
-        return plain, (f"all trajectories count alike: {why}",)
+        return plain, (f"all trajectories have equal weight: {why}",)
     half_life = float(max(round(SHARES[chosen] * num_trajectories), 1))
-    why = f"what a trajectory counts halves every {half_life:g}: that predicts the latest ones better {found}"
+    why = (
+        f"the weight of a trajectory halves every {half_life:g} trajectories: this predicts the latest ones better "
+        f"{found}"
+    )
     return replace(model, half_life=half_life), (why,)
 
 

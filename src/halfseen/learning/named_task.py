@@ -133,7 +133,7 @@ class NamedActions:
         unknown = [name for name in names if name not in self.covariates]
         if unknown:
             known = ", ".join(self.covariates) + did_you_mean(unknown[0], self.covariates)
-            raise ArgumentError(f"outcome_covariates names {unknown[0]!r}, which is none of the covariates {known}")
+            raise ArgumentError(f"outcome_covariates names {unknown[0]!r}, which is not among the covariates {known}")
         return np.isin(np.array(self.looks_at.sources), list(names)).astype(np.float64)
 
     def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_trajectory: bool) -> pd.DataFrame:
@@ -193,13 +193,13 @@ class NamedActions:
         """
         if not isinstance(policy, NamedActionPolicy):
             raise ArgumentError(
-                f"{type(policy).__name__} decides nothing about named actions, which the task is of; give a policy "
-                "with actions, horizon and probabilities, such as a learner's policy_"
+                f"{type(policy).__name__} does not decide about named actions; give a policy with actions, horizon and "
+                "probabilities, such as a learner's policy_"
             )
         unknown = [name for name in policy.actions if name not in self.names]
         if unknown:
             listed = ", ".join(map(repr, self.names)) + did_you_mean(unknown[0], self.names)
-            raise ArgumentError(f"the policy takes {unknown[0]!r}, which is none of the actions of the task: {listed}")
+            raise ArgumentError(f"the policy takes {unknown[0]!r}, which is not an action of the task: {listed}")
         column = [self.names.index(name) for name in policy.actions]
         trajectory, _ = stage_places(logs)
         probabilities = np.zeros((logs.num_trajectories, horizon, len(self.names)))
@@ -226,7 +226,7 @@ class NamedActions:
         if pd.api.types.is_numeric_dtype(logs.stages[name].dtype) and name not in self.categories:
             return logs.stages[[name]].astype(float)
         if name not in self.categories:
-            trouble = unfit_covariates([logs]).get(name, "is no covariate of the stages; leave it out")
+            trouble = unfit_covariates([logs]).get(name, "is not a covariate of the stages; leave it out")
             raise ArgumentError(f"censoring covariate {name!r} {trouble}")
         looks_at = Covariates((name,), self.categories)
         return pd.DataFrame(looks_at.encode(logs.stages), index=logs.stages.index, columns=pd.Index(looks_at.names))

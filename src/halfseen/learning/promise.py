@@ -46,7 +46,7 @@ def believable(learn: Callable[[QModel], Learned], model: QModel, logs: Logs | L
     hope = too_hopeful(smooth.model.policy(smooth.q_functions), some)
     if not hope:
         return smooth
-    linear = learn(replace(model, space=LinearQ(), space_chosen=(f"Q is linear: a smooth one promises {hope}",)))
+    linear = learn(replace(model, space=LinearQ(), space_chosen=(f"Q is linear: a smooth Q promises {hope}",)))
     return smooth if too_hopeful(linear.model.policy(linear.q_functions), some) else linear
 
 
@@ -59,4 +59,8 @@ def too_hopeful(policy: object, logs: Logs) -> str:
     promised = float(np.where(policy.is_possible[0], policy.q_values(first, 1), -np.inf).max(axis=1).mean())
     brought = logs.stages.groupby("trajectory", sort=False)["reward"].sum().loc[finished]
     rare = float(np.quantile(brought, RARE))
-    return "" if promised <= rare else f"{promised:.3g} a trajectory, and one in twenty brought more than {rare:.3g}"
+    return (
+        ""
+        if promised <= rare
+        else f"{promised:.3g} a trajectory, but only one trajectory in twenty earned more than {rare:.3g}"
+    )

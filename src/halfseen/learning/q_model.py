@@ -103,7 +103,7 @@ class QModel:
 
     def __post_init__(self) -> None:
         if not is_count(self.horizon):
-            raise ArgumentError(f"horizon is {self.horizon!r}; a trajectory has a whole number of stages, at least 1")
+            raise ArgumentError(f"horizon is {self.horizon!r}; give a whole number of stages, at least 1")
 
     def fitted(self, logs: Logs) -> tuple["QModel", TrajectoryArrays]:
         """Fit to a log what comes before Q: the task, Ĝ, and the features of the kernel."""
@@ -167,7 +167,7 @@ class QModel:
         """Replace a default 𝒬 that is too large by a linear one; refuse a Q that does not fit in memory."""
         num_blocks, num_features = self.num_blocks, self.space.num_features(num_inputs)
         if self.is_space_free and not self.is_affordable(num_inputs):
-            why = f"Q is linear: a smooth one would have {num_features} features for each of {num_blocks} actions"
+            why = f"Q is linear: a smooth Q would have {num_features} features for each of {num_blocks} actions"
             return replace(self, space=LinearQ(), space_chosen=(why,))
         # Pooled stages have two slices: rows that go on, and rows that the horizon ended.
         num_slices = self.horizon if self.stages == "separate" else 2
@@ -274,7 +274,7 @@ class QModel:
             refuse_too_few(int((log.weight > 0).any(axis=-1).sum()), num_trajectories)
         if isinstance(self.space, TabularQ):
             if not isinstance(self.task, StateActions):
-                raise ArgumentError("q_function is 'tabular', which learns of named actions; choose another")
+                raise ArgumentError("q_function is 'tabular', which needs named actions; choose another")
             return fit_table(log, self.task.num_states, None if isinstance(self.reg, CrossValidation) else self.reg)
         with one_thread():
             return fit_q(log, self.regression(num_trajectories, num_actions))
@@ -296,11 +296,13 @@ class QModel:
         """What was chosen automatically, and why."""
         of_task, preferred = getattr(self.task, "chosen", ()), ()
         if self.has_many_actions and self.behaviour_weight == 0:
-            preferred = ("what the log does counts for nothing: stages in which it did as it prefers brought no more",)
+            preferred = ("the logging policy has no weight: stages with its preferred actions earned no more",)
         elif self.has_many_actions:
-            worth = f"{self.behaviour_weight:.3g} of reward for each factor of e in how likely the log takes it"
-            few = f"few stages speak for each of {self.num_blocks} actions"
-            preferred = (f"{few}, so what the log does counts: {worth}",)
+            worth = (
+                f"{self.behaviour_weight:.3g} of reward for each factor of e in the probability that the log takes it"
+            )
+            few = f"there are few stages for each of {self.num_blocks} actions"
+            preferred = (f"{few}, so the logging policy counts: {worth}",)
         return (*self.space_chosen, *preferred, *of_task)
 
     def regression(self, num_trajectories: int, num_actions: int) -> Regression:
@@ -337,5 +339,5 @@ class QModel:
         if names is None:
             return np.ones(trajectories.features.shape[-1])
         if not isinstance(self.space, LinearQ):
-            raise ArgumentError("outcome_covariates is given; it chooses among the covariates of a linear Q only")
+            raise ArgumentError("outcome_covariates is given, but selects covariates of a linear Q only; leave it out")
         return self.task.outcome_features(names)

@@ -192,9 +192,9 @@ class KernelQ:
         if self.num_landmarks < 1:
             raise ArgumentError(f"num_landmarks is {self.num_landmarks}; a kernel needs at least 1")
         if self.gamma is not None and not (_is_number(self.gamma) and self.gamma > 0):
-            raise ArgumentError(f"gamma is {self.gamma!r}; it is a finite number > 0, or None for 1/F")
+            raise ArgumentError(f"gamma is {self.gamma!r}; give a finite number > 0, or None for 1/F")
         if self.trend is not None and not (len(self.trend) == 2 and all(_is_number(c) and c > 0 for c in self.trend)):
-            raise ArgumentError(f"trend is {self.trend!r}; it is two finite numbers > 0, or None for no trend")
+            raise ArgumentError(f"trend is {self.trend!r}; give two finite numbers > 0, or None for no trend")
 
     @property
     def name(self) -> str:
@@ -255,7 +255,7 @@ def q_space_of(q_function: QSpace | Literal["linear", "quadratic", "kernel", "sm
     if not isinstance(q_function, QSpace):
         names = ", ".join(map(repr, Q_SPACES))
         raise ArgumentError(
-            f"q_function is {q_function!r}; it is {names}, LinearQ(), QuadraticQ(), KernelQ(…) or TabularQ()"
+            f"q_function is {q_function!r}; give {names}, LinearQ(), QuadraticQ(), KernelQ(…) or TabularQ()"
         )
     return q_function
 
@@ -264,7 +264,7 @@ def stage_mode_of(stages: StageMode | str) -> StageMode:
     """Parse a user's stage mode; refuse an invalid one."""
     if stages == "separate" or stages == "pooled":
         return stages
-    raise ArgumentError(f"stages is {stages!r}; it is 'separate' or 'pooled'")
+    raise ArgumentError(f"stages is {stages!r}; give 'separate' or 'pooled'")
 
 
 def reg_of(reg: Reg | int | Literal["cv"] | str) -> Reg:
@@ -274,14 +274,14 @@ def reg_of(reg: Reg | int | Literal["cv"] | str) -> Reg:
     if isinstance(reg, str) and reg == "cv":
         return CrossValidation()
     if not (_is_number(reg) and float(reg) >= 0.0):
-        raise ArgumentError(f"reg is {reg!r}; it is a λ ≥ 0, or 'cv'")
+        raise ArgumentError(f"reg is {reg!r}; give a λ ≥ 0, or 'cv'")
     return float(reg)
 
 
 def pessimism_of(pessimism: float | int | str) -> float:
     """Parse a user's pessimism; refuse an invalid one."""
     if not (_is_number(pessimism) and float(pessimism) >= 0.0):
-        raise ArgumentError(f"pessimism is {pessimism!r}; it is a number of standard errors ≥ 0, or 'auto'")
+        raise ArgumentError(f"pessimism is {pessimism!r}; give a number of standard errors ≥ 0, or 'auto'")
     return float(pessimism)
 
 
@@ -290,5 +290,5 @@ def half_life_of(value: float | int | str | None) -> float | str | None:
     if value is None or value == "auto":
         return value
     if isinstance(value, str | bool) or not 0 < value < np.inf:
-        raise ArgumentError(f"half_life is {value!r}; it is a number of trajectories above 0, 'auto' or None")
+        raise ArgumentError(f"half_life is {value!r}; give a number of trajectories above 0, 'auto' or None")
     return float(value)

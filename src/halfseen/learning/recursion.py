@@ -137,8 +137,8 @@ def _in_memory(log: Transitions, regression: Regression) -> Callable[[Step], Ste
     largest = int(np.asarray(log.fold).max())
     if largest >= regression.num_folds:
         raise ArgumentError(
-            f"fold {largest} of {regression.num_folds}: folds are 0 to {regression.num_folds - 1}; deal the "
-            "trajectories again"
+            f"fold {largest} of {regression.num_folds}: folds are 0 to {regression.num_folds - 1}; assign the "
+            "trajectories to folds again"
         )
     rows, norms = packed(log, regression), None
 

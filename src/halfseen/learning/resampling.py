@@ -56,7 +56,7 @@ class QBootstrap:
             `level` is not between 0 and 1, or the policy is not one of named actions.
         """
         if not 0.0 < level < 1.0:
-            raise ArgumentError(f"level is {level}; it lies between 0 and 1")
+            raise ArgumentError(f"level is {level}; give a level between 0 and 1")
         draws = self._draws(frame, stage)
         low, high = np.quantile(draws, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
         return low, high

@@ -229,7 +229,7 @@ def unseen_in_words(support: Support, names: tuple[str, ...], stages: StageMode)
         where = "" if stages == "pooled" else f" in stage {', '.join(str(row + 1) for row in rows)}"
         cut = f"begun {begun} times and cut each time" if begun else "never taken"
         findings.append(
-            f"{names[kind]} was never seen completed{where} ({cut}), so its value is not known and the policy never "
+            f"{names[kind]} was never completed{where} ({cut}), so its value is unknown and the policy never "
             "takes it there; to learn it, log it uniformly at random now and then"
         )
     return findings
@@ -239,8 +239,8 @@ def refuse_all_cut(is_finished: Bool[np.ndarray, " n"]) -> None:
     """Refuse a log in which no trajectory finished."""
     if not is_finished.any():
         raise PositivityError(
-            f"all {len(is_finished)} trajectories were cut, so how a trajectory ends was never seen; record until some "
-            "finish, or shorten the horizon so that reaching it counts as finished"
+            f"all {len(is_finished)} trajectories were cut, so no end of a trajectory was observed; record "
+            "until some finish, or shorten the horizon so that reaching it counts as finished"
         )
 
 
@@ -252,12 +252,14 @@ def refuse_vanishing(reward: Float[np.ndarray, " m"]) -> None:
     """Refuse rewards whose squares underflow when squared, or whose differences are lost to rounding."""
     largest = float(np.max(np.abs(reward), initial=0.0))
     if 0.0 < largest < 1 / LARGEST:
-        raise LogError(f"the largest reward is {largest:g}, whose fourth power is 0; give rewards in another unit")
+        raise LogError(
+            f"the largest reward is {largest:g}, whose fourth power underflows to 0; give rewards in another unit"
+        )
     spread = float(np.std(reward)) if len(reward) else 0.0
     if 0.0 < spread < LEAST_SPREAD * largest:
         raise LogError(
-            f"rewards are about {np.mean(reward):.3g} and differ by {spread:.2g}, which rounding would take away; "
-            "subtract what they have in common"
+            f"rewards are about {np.mean(reward):.3g} and differ by {spread:.2g}, which rounding would erase; "
+            "subtract their common part"
         )
 
 
@@ -265,6 +267,6 @@ def refuse_too_few(num_seen: int, num_trajectories: int) -> None:
     """Refuse cross-validation if fewer than two trajectories completed a stage."""
     if num_seen < 2:
         raise ArgumentError(
-            f"reg is 'cv', which holds out trajectories, but {num_seen} of {num_trajectories} completed a stage; give "
-            "a number for reg, or record more trajectories"
+            f"reg is 'cv', which holds out trajectories, but only {num_seen} of {num_trajectories} completed a "
+            "stage; give a number for reg, or record more trajectories"
         )

@@ -78,18 +78,18 @@ def with_states(task: Any, logs: Any, targets: Any) -> StateActions:
     """Make a tabular task from a task of named actions."""
     if not isinstance(task, NamedActions) or len(task.covariates) != 1:
         raise ArgumentError(
-            "q_function is 'tabular', which takes named actions and one covariate, the name of the state"
+            "q_function is 'tabular', which needs named actions and one covariate, the name of the state"
         )
     if isinstance(logs, LogStream):
         raise ArgumentError("q_function is 'tabular', which is learned in memory; leave --streaming out")
     if targets.is_imputed:
         raise ArgumentError(
-            f"q_function is 'tabular', and censoring {targets.name!r} imputes; choose 'kaplan-meier', 'cox' or 'none'"
+            f"q_function is 'tabular', but censoring {targets.name!r} imputes; choose 'kaplan-meier', 'cox' or 'none'"
         )
     (column,) = task.covariates
     kind = kind_of(logs.stages, column) if isinstance(logs, Logs) and column in logs.stages.columns else None
     if kind is not None:
-        raise ArgumentError(f"q_function is 'tabular', and {column} holds {kind}; give states names or numbers")
+        raise ArgumentError(f"q_function is 'tabular', but {column} holds {kind}; give names or numbers")
     return StateActions(task.actions, task.covariates, task.categories, task.filling)
 
 

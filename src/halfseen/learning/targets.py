@@ -111,7 +111,7 @@ def targets_of(censoring: Targets | CensoringModel | str) -> Targets:
     if isinstance(censoring, str) and censoring not in CENSORING_NAMES:
         listed = ", ".join(map(repr, CENSORING_CHOICES))
         raise ArgumentError(
-            f"censoring is {censoring!r}; it is {listed}, Weighted(…), DoublyRobust(…) or a CensoringModel"
+            f"censoring is {censoring!r}; give {listed}, Weighted(…), DoublyRobust(…) or a CensoringModel"
         )
     return Weighted(named)
 
@@ -142,7 +142,7 @@ def named_targets(
         of_weights = {"by": None if by == "trajectory" else by, "covariates": covariates, "truncate_at": truncate_at}
         for name, value in of_weights.items():
             if value is not None:
-                choice = f"{name} is {value!r}, but censoring {censoring!r} makes no weights"
+                choice = f"{name} is {value!r}, but censoring {censoring!r} uses no weights"
                 raise ArgumentError(
                     f"{choice}; leave it out, or choose a model of the cuts: 'kaplan-meier', 'cox', 'kernel'"
                 )

@@ -154,7 +154,7 @@ class Task(Protocol):
 def named_task(name: str, **parameters: Any) -> Task:
     """Make a task by its name."""
     if name not in TASKS:
-        raise ArgumentError(f"task is {name!r}; it is {', '.join(map(repr, TASKS))}, or an object that is a Task")
+        raise ArgumentError(f"task is {name!r}; give {', '.join(map(repr, TASKS))}, or an object that is a Task")
     module, attribute = TASKS[name].split(":")
     return getattr(import_module(module), attribute)(**parameters)
 
@@ -174,14 +174,14 @@ def learner_of(name: str, plain: type, laws: str | None, parameters: Mapping[str
     Eq. 3 alone is chosen if `laws` is None or a parameter of it is given; an argument about laws is then refused.
     """
     if laws not in (AUTO, None):
-        raise ArgumentError(f"laws is {laws!r}; it is 'auto', or None for eq. 3 without laws")
+        raise ArgumentError(f"laws is {laws!r}; give 'auto', or None for eq. 3 without laws")
     if laws is not None and all(parameters.get(each, default) == default for each, default in OF_LINEAR.items()):
         module, attribute = LAWS[name].split(":")
         return getattr(import_module(module), attribute)
     for said in ("prior_law", "world"):
         if parameters.get(said) is not None:
             raise ArgumentError(
-                f"{said} is given, but no law helps to learn where laws=None or one of {', '.join(OF_LINEAR)} is; "
-                "leave one of them out"
+                f"{said} is given, but no laws are used with laws=None or any of {', '.join(OF_LINEAR)}; leave "
+                "one of them out"
             )
     return plain

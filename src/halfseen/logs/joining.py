@@ -24,6 +24,7 @@ from halfseen.logs.missing import KEEP
 from halfseen.logs.parquet import MANIFEST, write_manifest
 from halfseen.logs.recorded import STILL_RUNNING
 from halfseen.logs.stream import TRAJECTORIES_AT_ONCE, read_logs
+from halfseen.reading import reason_of
 from halfseen.writing import placed, refuse_taken
 
 
@@ -47,7 +48,12 @@ def joined(parts: Sequence[Logs]) -> Logs:
     # Through Arrow: a column that is all null in one log has no type there, and takes that of the others.
     frames = {name: [part.tables[name] for part in parts] for name in parts[0].tables}
     arrow = {name: [pa.Table.from_pandas(each, preserve_index=False) for each in of] for name, of in frames.items()}
-    tables: Any = {name: pa.concat_tables(of, promote_options="permissive") for name, of in arrow.items()}
+    try:
+        tables: Any = {name: pa.concat_tables(of, promote_options="permissive") for name, of in arrow.items()}
+    except pa.ArrowException as error:
+        raise LogError(
+            f"the logs have columns of types that do not go together ({reason_of(error)}); give them one type"
+        ) from error
     missing = parts[0].missing if all(part.missing == parts[0].missing for part in parts) else None
     return Logs(**tables, reward_unit=common_unit(part.reward_unit for part in parts), missing=missing)
 
@@ -107,13 +113,21 @@ def write_stream(
                         f"{name}: column {shown(more[0])} comes with trajectory {shown(part.trajectory_ids[0])}, and "
                         "parts before it have none; give every part the same columns"
                     )
-                full = table.reindex(columns=schema.names)
-                writers[name].write_table(pa.Table.from_pandas(full, schema=schema, preserve_index=False))
+                writers[name].write_table(_of_schema(name, part, schema))
                 rows[name] += len(table)
         if not writers:
             raise ArgumentError("there is no part; give at least one log")
         stack.close()
         write_manifest(fresh, rows, unit)
+
+
+def _of_schema(name: str, part: Logs, schema: pa.Schema) -> pa.Table:
+    """A table of a part with the columns and types of a schema."""
+    try:
+        return pa.Table.from_pandas(part.tables[name].reindex(columns=schema.names), schema, preserve_index=False)
+    except pa.ArrowException as error:
+        trouble = f"does not fit the types of those before ({reason_of(error)}); give every part the same types"
+        raise LogError(f"{name}, from trajectory {shown(part.trajectory_ids[0])} on: it {trouble}") from error
 
 
 def _without_nulls(schema: pa.Schema) -> pa.Schema:

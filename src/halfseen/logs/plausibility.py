@@ -190,6 +190,8 @@ def outcomes_among_covariates(
     untested
         Share of the remaining variance that a covariate must explain if the log has no probabilities to test it.
     """
+    from scipy.linalg import get_lapack_funcs, solve_triangular
+
     stages = rows_with(logs.stages, "reward", "action", most=MOST_REWARDS)
     if len(stages) < FEWEST_REWARDS or not logs.stage_covariates or logs.has_objects:
         return
@@ -201,26 +203,31 @@ def outcomes_among_covariates(
     blocks = [_indicators(action), _indicators(stages["stage"].to_numpy())]
     blocks += [_indicators(each.group) for each in known]
     blocks += [_before(stages, each) for each in known]
-    blocks += [_indicators(action * each.num_groups + each.group) for each in known]
     block = np.repeat(np.arange(len(blocks)), [each.shape[1] for each in blocks])
     columns = np.hstack(blocks)
+    if columns.shape[1] - len(blocks) >= len(reward):
+        return  # No degree of freedom is left.
     gram, pull, total = columns.T @ columns, columns.T @ reward, float(reward @ reward)
+    (cholesky,) = get_lapack_funcs(("pstrf",), (gram,))
 
-    def left(used: RowMask) -> float:
+    def left(used: RowMask, added: Float[np.ndarray, "m k"]) -> float:
         """Residual variance of the reward after regression on some columns, per remaining degree of freedom."""
-        values, axes = np.linalg.eigh(gram[np.ix_(used, used)])
-        kept = values > 1e-9 * values[-1]
-        explained = ((axes[:, kept].T @ pull[used]) ** 2 / values[kept]).sum()
-        return max(total - float(explained), 0.0) / max(len(reward) - int(kept.sum()), 1)
+        cross = columns[:, used].T @ added
+        joint = np.block([[gram[np.ix_(used, used)], cross], [cross.T, added.T @ added]])
+        # It is pivoted, and finds the rank in a tenth of the time of an eigendecomposition.
+        factor, pivot, rank, _ = cholesky(joint, tol=1e-9 * joint.diagonal().max(), lower=1)
+        pulled = np.append(pull[used], added.T @ reward)[pivot[:rank] - 1]
+        along = solve_triangular(factor[:rank, :rank], pulled, lower=True)
+        return max(total - float(along @ along), 0.0) / max(len(reward) - rank, 1)
 
     for k, each in enumerate(known):
         if of is not None and each.name not in of:
             continue
-        is_other = (block < 2 + 2 * len(known)) & (block != 2 + k)
-        by_others = left(is_other)
+        is_other = block != 2 + k
+        by_others = left(is_other, columns[:, :0])
         if by_others <= 1e-9 * np.var(reward):
             continue
-        explained = 1.0 - left(is_other | (block == 2 + 2 * len(known) + k)) / by_others
+        explained = 1.0 - left(is_other, _indicators(action * each.num_groups + each.group)) / by_others
         if explained > MOST_EXPLAINED and _is_after(stages, each, explained > untested):
             yield (
                 f"covariate {each.name} foretells the reward of its own stage: it explains {explained:.0%} of what all "

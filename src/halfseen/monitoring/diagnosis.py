@@ -17,6 +17,7 @@ import numpy as np
 from halfseen.evaluation.kept import drifts_of
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
+from halfseen.monitoring.outcomes import Outcomes
 from halfseen.monitoring.streams import Stream, known_rows, part_residuals
 from halfseen.policies.folder.promised_parts import moves
 from halfseen.shapes import Float
@@ -62,10 +63,32 @@ def change_point(values: Float[np.ndarray, " n"], mean: float = 0.0, weight: flo
     return ChangePoint(int(there[order[0]]), int(held.min()), int(held.max()))
 
 
+def moved_at(stream: Stream) -> ChangePoint:
+    """Trajectory at which the bins of a stream have moved."""
+    values = np.where(stream.bins >= 0, stream.bins, np.nan).astype(np.float64)
+    num = float(stream.counts.sum())
+    mean = float(stream.counts @ np.arange(len(stream.counts)) / num) if num else 0.0
+    return change_point(values, mean, num)
+
+
+def differs_at(part: Stream) -> ChangePoint:
+    """Trajectory from which residuals differ from those of the training log."""
+    found = change_point(np.clip(part.residuals, -part.reach, part.reach), 0.0, part.num_states)
+    return ChangePoint(*(int(part.trajectory[k]) for k in found))
+
+
+def earns_less_at(outcomes: Outcomes, value: Any) -> ChangePoint:
+    """Trajectory from which less is earned than promised."""
+    spread = float(np.nanstd(outcomes.values))
+    error = max(float(value["standard_error"]), 1e-12)
+    return change_point(outcomes.values, float(value["value"]), (spread / error) ** 2)
+
+
 CLEARLY = 4.0
 """Number of standard errors above which a part is named."""
 SWAPPED, OTHER_UNIT = "look swapped", "as if in another"
 """Words in causes for columns whose meaning has changed."""
+CHANGED_TOGETHER = "covariates of stage 1 have changed together"
 
 
 def differs(part: Stream, at: int) -> str:
@@ -163,9 +186,35 @@ def input_words(promise: Any, logs: Logs, since: int) -> tuple[str, ...]:
     since
         First trajectory to use, counted from 1.
     """
-    first = [each for each in promise["stages"] if each["stage"] == 1]
-    units, drifts = drifts_of(_without_nulls(first), logs.select(logs.trajectory_ids[since - 1 :]))
+    units, drifts = drifts_of(_first_states(promise), logs.select(logs.trajectory_ids[since - 1 :]))
     return (*units, *drifts)
+
+
+def swapped_or_changed(pair: str, promise: Any, logs: Logs, at: int) -> str:
+    """Say that two covariates look swapped, if the first states fit the training log once they are swapped back.
+
+    Parameters
+    ----------
+    pair
+        The two names, as in `Stream.about`.
+    promise
+        Promise in the policy's folder.
+    logs
+        The log of its service.
+    at
+        Index of the first trajectory to use.
+    """
+    first = _first_states(promise)
+    names = {name for each in first for name in each["covariates"]}
+    one, other = next((x, y) for x in names for y in names if f"{x} and {y}" == pair)
+    is_alike = _fits_turned(first, logs.select(logs.trajectory_ids[at:]), one, other)
+    return f"covariates {pair} {SWAPPED}" if is_alike else CHANGED_TOGETHER
+
+
+def _fits_turned(first: list[dict[str, Any]], logs: Logs, one: str, other: str) -> bool:
+    """Whether no drift of the first states is found once two columns are swapped."""
+    turned = {one: logs.stages[other], other: logs.stages[one]}
+    return not any(drifts_of(first, Logs(logs.stages.assign(**turned), logs.trajectories)))
 
 
 def is_misrecorded(causes: tuple[str, ...]) -> bool:
@@ -218,7 +267,7 @@ def _swapped_moves(promise: Any, looks_at: Covariates, logs: Logs) -> tuple[str,
 
 def _swapped(promise: Any, looks_at: Covariates, logs: Logs) -> tuple[str, ...]:
     """Name two numeric columns for which models and first states fit clearly better after a swap."""
-    first = _without_nulls([each for each in promise["stages"] if each["stage"] == 1])
+    first = _first_states(promise)
     # A covariate that is constant in the first stage carries no information.
     differ = {name for each in first for name, one in each["covariates"].items() if len(one.get("values", ())) > 1}
     numbers = [name for name in looks_at.columns if name in differ]
@@ -233,19 +282,19 @@ def _swapped(promise: Any, looks_at: Covariates, logs: Logs) -> tuple[str, ...]:
 
     usual, found = misfit(rows)[0], []
     for one, other in combinations(numbers, 2):
-        turned = {one: logs.stages[other], other: logs.stages[one]}
         squares, off = misfit(rows.assign(**{one: rows[other], other: rows[one]}))
         if usual - squares > CLEARLY**2 and off < CLEARLY:
-            drifts = drifts_of(first, Logs(logs.stages.assign(**turned), logs.trajectories))
-            found += [] if any(drifts) else [(squares, one, other)]
+            found += [(squares, one, other)] if _fits_turned(first, logs, one, other) else []
     return tuple(
         f"covariates {one} and {other} {SWAPPED}: the log's models fit better the other way round"
         for _, one, other in sorted(found)[:1]
     )
 
 
-def _without_nulls(stages: Any) -> list[dict[str, Any]]:
+def _first_states(promise: Any) -> list[dict[str, Any]]:
+    """Description of the first stage, without nulls."""
     return [
         each | {"covariates": {name: {k: v for k, v in one.items() if v} for name, one in each["covariates"].items()}}
-        for each in stages
+        for each in promise["stages"]
+        if each["stage"] == 1
     ]

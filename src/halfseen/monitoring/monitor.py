@@ -19,18 +19,21 @@ from halfseen.learning.task import Encoded
 from halfseen.logs import Logs
 from halfseen.monitoring import betting
 from halfseen.monitoring.answer import MEND_FIRST, Finding, Monitored, num_needed, relearning
-from halfseen.monitoring.betting import pair_payoffs
 from halfseen.monitoring.dealing import ARM, RULE
 from halfseen.monitoring.diagnosis import (
+    CHANGED_TOGETHER,
     SWAPPED,
     ChangePoint,
     broken_parts,
-    change_point,
     differs,
+    differs_at,
+    earns_less_at,
     input_words,
     is_misrecorded,
     moved,
+    moved_at,
     rewards_in_another_unit,
+    swapped_or_changed,
 )
 from halfseen.monitoring.foreign import (
     in_known_categories,
@@ -48,6 +51,7 @@ from halfseen.monitoring.streams import (
     own_alone,
     part_streams,
     swap_streams,
+    swapped_states,
     whole_stream,
 )
 from halfseen.policies.folder import StoredPolicy
@@ -148,8 +152,10 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
         payoffs["promise"] = _against_log(whole, num)
         parts = [*parts, *against]
     if looks_at.num_features > 1 and promise.get("first_states"):
-        joint = _joint(looks_at, logs, promise["first_states"], seed)
-        payoffs["inputs"] = np.concatenate([payoffs["inputs"], joint], axis=1)
+        swaps, joint = swapped_states(promise, looks_at, logs), _joint(looks_at, logs, promise["first_states"], seed)
+        of_swaps = _ranked(swaps, logs, seed + 3, is_less=True)
+        payoffs["inputs"] = np.concatenate([payoffs["inputs"], of_swaps, joint], axis=1)
+        inputs += swaps
     doubts, foreign = unknown_categories(looks_at, logs), ""
     if hasattr(policy, "decide") and isinstance(policy, NamedActionPolicy):
         doubts = (*unknown_actions(policy, logs), *doubts)
@@ -180,7 +186,7 @@ def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n
     ends = np.cumsum([each.shape[1] for each in bets.payoffs.values()])
     each = np.split(betting.p_values(log_wealth), ends[:-1], axis=1)
     p_values = dict(zip(bets.payoffs, each, strict=True))
-    findings = [one for family, p in p_values.items() for one in _findings(family, p, bets.streams, promise, outcomes)]
+    findings = [one for family, p in p_values.items() for one in _findings(family, p, bets, promise)]
     findings.sort(key=lambda each: (each.alarm_at, each.p_value))
     unit = rewards_in_another_unit(promise.get("brings"), logs)
     if unit:
@@ -233,7 +239,7 @@ def _joint(looks_at: Covariates, logs: Logs, reference: list[list[float]], seed:
     rows: Any = logs.stages[logs.stages["stage"] == 1]
     is_known = looks_at.knows(rows)
     coins = np.random.default_rng([seed, 1]).random(len(rows))
-    of_known = pair_payoffs(looks_at.encode(rows[is_known]), np.array(reference), coins[is_known])
+    of_known = betting.pair_payoffs(looks_at.encode(rows[is_known]), np.array(reference), coins[is_known])
     payoffs = np.ones((len(rows), *of_known.shape[1:]))
     payoffs[is_known] = of_known
     return payoffs
@@ -278,8 +284,7 @@ def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) 
     total = totals.to_numpy(dtype=np.float64)
     num_more = int(((total > high) & logs.is_finished).sum())
     if num_more:
-        words = counted(num_more, "trajectory")
-        notes.append(f"{words} brought more than any in the log could, and count as {high:g}")
+        notes.append(f"{counted(num_more, 'trajectory')} brought more than any in the log could, and count as {high:g}")
     has_actions = isinstance(stored.policy, NamedActionPolicy) and logs.has_all_actions
     plain = in_known_categories(looks_at_of(stored.policy), logs)
     known = task_of(stored.policy, plain).censoring_covariates(plain, None, False) if has_actions else None
@@ -313,38 +318,22 @@ def _earned(outcomes: Outcomes, brings: Any, since: int) -> tuple[Course | None,
     return course, {"value": value, "low": bounds.lower, "high": bounds.upper, "since": latest}
 
 
-def _findings(
-    family: str, p: Float[np.ndarray, "n F"], ways: dict[str, list[Stream]], promise: Any, outcomes: Outcomes | None
-) -> list[Finding]:
-    alpha, streams, found = ALPHAS[family], ways.get(family, []), []
+def _findings(family: str, p: Float[np.ndarray, "n F"], bets: Bets, promise: Any) -> list[Finding]:
+    alpha, streams, outcomes, found = ALPHAS[family], bets.streams.get(family, []), bets.outcomes, []
     for k in map(int, np.flatnonzero(betting.holm(p[-1], alpha)) if len(p) else ()):
         at = betting.first_rejected(p, alpha, k)
         if k < len(streams):
             against_log = family == "promise" or (family == "parts" and k > len(promise.get("parts", ())))
-            change, name = (_since_log if against_log else _since)(streams[k]), streams[k].name
-            words = (differs if against_log else moved)(streams[k], change.at)
+            change, name = (differs_at if against_log else moved_at)(streams[k]), streams[k].name
+            if family == "inputs" and streams[k].kind == "swap":
+                words = swapped_or_changed(streams[k].about, promise, bets.logs, change.at)
+                name = name if SWAPPED in words else "all covariates"
+            else:
+                words = (differs if against_log else moved)(streams[k], change.at)
         elif family == "promise" and outcomes is not None:
-            change, name, words = _since_promise(outcomes, promise["value"]), "promise", "it earns less than promised"
+            change, name, words = earns_less_at(outcomes, promise["value"]), "promise", "it earns less than promised"
         else:
-            change, name, words = ChangePoint(0, 0, at), "all covariates", "covariates of stage 1 have changed together"
+            change, name, words = ChangePoint(0, 0, at), "all covariates", CHANGED_TOGETHER
         since = (change.at + 1, change.low + 1, change.high + 1)
         found.append(Finding(family, name, words, float(p[-1, k]), at + 1, *since))
     return found
-
-
-def _since(stream: Stream) -> ChangePoint:
-    values = np.where(stream.bins >= 0, stream.bins, np.nan).astype(np.float64)
-    num = float(stream.counts.sum())
-    mean = float(stream.counts @ np.arange(len(stream.counts)) / num) if num else 0.0
-    return change_point(values, mean, num)
-
-
-def _since_log(part: Stream) -> ChangePoint:
-    found = change_point(np.clip(part.residuals, -part.reach, part.reach), 0.0, part.num_states)
-    return ChangePoint(*(int(part.trajectory[k]) for k in found))
-
-
-def _since_promise(outcomes: Outcomes, value: Any) -> ChangePoint:
-    spread = float(np.nanstd(outcomes.values))
-    error = max(float(value["standard_error"]), 1e-12)
-    return change_point(outcomes.values, float(value["value"]), (spread / error) ** 2)

@@ -31,6 +31,8 @@ ZERO_OF = 3.0
 """An event that never happened in n steps has a probability of at most 3 / n, at 95 %."""
 MOST_PAIRS = 15
 """Most pairs of covariates tested for a swap; in other pairs each covariate shows a swap by itself."""
+MOST_PAIRS_OF_STATES, FEWEST_STATES, NUM_KNOTS = 36, 20, 65
+"""The same for the states of stage 1; and their fewest reference states, and quantiles of these."""
 _NOTHING = (np.zeros(0), np.zeros(0), np.zeros(0, dtype=int))
 
 
@@ -179,6 +181,57 @@ def swap_streams(streams: list[Stream], parts: Any, looks_at: Covariates, logs: 
     return found
 
 
+def swapped_states(promise: Any, looks_at: Covariates, logs: Logs) -> list[Stream]:
+    """Streams of the states of stage 1 for each pair of covariates; a low value says that the two are swapped.
+
+    A value is the log-likelihood ratio of a state as it is to the state with the two swapped. The likelihood is that of
+    a normal distribution fitted to every other state of the training log. Ranks among the remaining states are valid
+    whatever the distribution is. Correlations with others tell covariates apart that are distributed alike.
+
+    Parameters
+    ----------
+    promise
+        Promise in the policy's folder, with states of the first stage.
+    looks_at
+        Their covariates.
+    logs
+        The log of the service.
+    """
+    fitted, reference = (np.array(promise["first_states"][parity::2]) for parity in (0, 1))
+    rows: Any = logs.stages[logs.stages["stage"] == 1]
+    rows = rows[looks_at.knows(rows)]
+    if len(reference) < FEWEST_STATES or not len(rows):
+        return []
+    place = {name: k for k, name in enumerate(looks_at.sources)}
+    new, at, mean, precision = looks_at.encode(rows), _places(logs, rows), fitted.mean(axis=0), _precision(fitted)
+
+    def ratio(each: Float[np.ndarray, "m F"], pair: list[int]) -> Float[np.ndarray, " m"]:
+        turned = each.copy()
+        turned[:, pair] = each[:, pair[::-1]]
+        usual, swapped = (((one - mean) @ precision * (one - mean)).sum(axis=1) for one in (each, turned))
+        return 0.5 * (swapped - usual)
+
+    found = []
+    for one, other in swappable(promise["stages"], looks_at, MOST_PAIRS_OF_STATES):
+        pair = [place[one], place[other]]
+        usual = ratio(reference, pair)
+        knots = np.unique(np.quantile(usual, np.linspace(0.0, 1.0, NUM_KNOTS)))
+        values = _spread(ratio(new, pair), at, logs.num_trajectories, np.nan)
+        bins = np.where(np.isnan(values), -1, np.searchsorted(knots, values))
+        counts = np.bincount(np.searchsorted(knots, usual), minlength=len(knots) + 1).astype(np.float64)
+        found.append(Stream("swap", f"{one} and {other}", 1, values, bins, counts))
+    return found
+
+
+def _precision(states: Float[np.ndarray, "n F"]) -> Float[np.ndarray, "F F"]:
+    """Inverse covariance, with correlations shrunk; 0 along features that do not vary."""
+    deviation, share = states.std(axis=0), states.shape[1] / (2 * len(states) + states.shape[1])
+    scale = np.where(deviation > 0.0, deviation, np.inf)
+    scaled = (states - states.mean(axis=0)) / scale
+    shrunk = (1.0 - share) * (scaled.T @ scaled) / len(states) + share * np.eye(len(scale))
+    return np.linalg.inv(shrunk) / np.outer(scale, scale)
+
+
 def move_streams(unmoved: Any, logs: Logs) -> list[Stream]:
     """Streams of the steps that change a covariate which never changed within a trajectory of the training log."""
     streams = []
@@ -189,7 +242,7 @@ def move_streams(unmoved: Any, logs: Logs) -> list[Stream]:
     return streams
 
 
-def swappable(first: Any, looks_at: Covariates) -> list[tuple[str, str]]:
+def swappable(first: Any, looks_at: Covariates, most: int = MOST_PAIRS) -> list[tuple[str, str]]:
     """Pairs of varying numeric covariates, the most similar distributions first."""
     seen = {name: one for each in first if each["stage"] == 1 for name, one in each["covariates"].items()}
     numbers = [name for name in looks_at.columns if len(seen.get(name, {}).get("values") or ()) > 1]
@@ -200,7 +253,7 @@ def swappable(first: Any, looks_at: Covariates) -> list[tuple[str, str]]:
         below = [np.interp(at, each["values"], each["below"], left=0.0) for each in (one, other)]
         return float(np.abs(below[0] - below[1]).max())
 
-    return sorted(combinations(numbers, 2), key=apart)[:MOST_PAIRS]
+    return sorted(combinations(numbers, 2), key=apart)[:most]
 
 
 def _together(

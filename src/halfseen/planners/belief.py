@@ -65,8 +65,8 @@ def known_seeing(config: WorldConfig) -> KnownSeeing:
 def _check_known(name: str, law: object, protocol: Any, known: str) -> None:
     if type(law) not in _KNOWN and not isinstance(law, protocol):
         raise ArgumentError(
-            f"{name} of the config is {type(law).__name__}, a law that can be drawn from but whose probabilities are "
-            f"not known, and planners need them; plan with a config whose {name} models it, such as {known}"
+            f"{name} of the config is {type(law).__name__}, which can be sampled but has no known "
+            f"probabilities, which planners need; plan with a config whose {name} models it, such as {known}"
         )
     _KNOWN.add(type(law))
 

@@ -78,7 +78,7 @@ class DiscreteSolution:
     def _stage(self, steps_to_go: int | None) -> Stage:
         steps = len(self.stages) if steps_to_go is None else steps_to_go
         if not 1 <= steps <= len(self.stages):
-            raise ArgumentError(f"steps_to_go is {steps}; it lies in 1 to the horizon, {len(self.stages)}")
+            raise ArgumentError(f"steps_to_go is {steps}; give 1 to the horizon, {len(self.stages)}")
         return self.stages[steps - 1]
 
 
@@ -135,9 +135,9 @@ def solve_discrete(
     observation = _probabilities(O, "O", reward, (num_actions, num_states, None))
     belief = _probabilities(initial_belief, "initial_belief", reward, (num_states,))
     if not 0.0 < discount <= 1.0:
-        raise ArgumentError(f"discount is {discount}; it lies in (0, 1]")
+        raise ArgumentError(f"discount is {discount}; give a number in (0, 1]")
     if horizon < 1:
-        raise ArgumentError(f"horizon is {horizon}; at least one action is taken")
+        raise ArgumentError(f"horizon is {horizon}; give at least 1")
     # In units of the rewards, which are a power of two, so that tolerances suit them and nothing is rounded.
     vectors, stages, unit = np.zeros((1, num_states)), [], _unit(reward)
     for _ in range(horizon):
@@ -228,11 +228,11 @@ def _probabilities(values: ArrayLike, name: str, reward: np.ndarray, shape: tupl
     array = _numbers(values, name, len(shape))
     wanted = tuple(size or given for size, given in zip(shape, array.shape, strict=True))
     if array.shape != wanted:
-        raise ArgumentError(f"{name} has shape {array.shape}; R of shape {reward.shape} asks for {wanted}")
+        raise ArgumentError(f"{name} has shape {array.shape}; R of shape {reward.shape} needs {wanted}")
     for index in np.argwhere(array < 0.0):
-        raise ArgumentError(f"{name}{index.tolist()} is {array[tuple(index)]}; a probability is ≥ 0")
+        raise ArgumentError(f"{name}{index.tolist()} is {array[tuple(index)]}; give probabilities ≥ 0")
     sums = array.sum(axis=-1)
     for index in np.argwhere(np.abs(sums - 1.0) > _ROW_SUM):
         where = index.tolist() or ""
-        raise ArgumentError(f"{name}{where} sums to {sums[tuple(index)]:g}; probabilities sum to 1")
+        raise ArgumentError(f"{name}{where} sums to {sums[tuple(index)]:g}; give probabilities that sum to 1")
     return array

@@ -53,8 +53,8 @@ def place_of(graph: Graph, state: TableState) -> tuple[Node, tuple[int, ...]]:
     index, there = horizon - int(state.steps_to_go), np.asarray(state.is_on_table)
     if there.shape != (world.num_objects,) or not 0 <= index < horizon or not there.any():
         raise ArgumentError(
-            f"state has objects on the table {there.tolist()} and {int(state.steps_to_go)} steps to go; "
-            f"give one of {world.num_objects} objects with 1 to {horizon} steps to go, and some object left"
+            f"state has objects on the table {there.tolist()} and {int(state.steps_to_go)} steps to go; give a "
+            f"state of {world.num_objects} objects with 1 to {horizon} steps to go and at least one object left"
         )
     work = Work((IDLE,), (horizon - index,))
     node = graph.layers[index][_tally_of(world, state, index), work]
@@ -91,8 +91,8 @@ def _cell_of(world: GridWorld, node: Node, log_odds: np.ndarray, seen: np.ndarra
         cell.append(int(np.argmin(distance)))
         if not distance.min() < _SAME_LABELS:
             raise ArgumentError(
-                f"state's log-odds of object {cup} are {log_odds[cup]:g}, with {seen[cup]:g} of it seen; the nearest "
-                f"that its looks allow are {distance.min():.2g} away: give a state of this table"
+                f"state's log-odds of object {cup} are {log_odds[cup]:g}, with {seen[cup]:g} of it seen; the "
+                f"nearest that its looks allow differ by {distance.min():.2g}; give a state of this table"
             )
     return tuple(cell)
 
@@ -157,9 +157,9 @@ class TeamOptimum:
             As in `policy_value`, or no policy is given.
         """
         if not policies:
-            raise ArgumentError("policies is empty; give at least one policy whose value is wanted")
+            raise ArgumentError("policies is empty; give at least one policy to evaluate")
         if max_states is not None and max_states < 1:
-            raise ArgumentError(f"max_states is {max_states}; at least 1 is needed, or None for all")
+            raise ArgumentError(f"max_states is {max_states}; give at least 1, or None for all")
         key, graph = random.key_of(0) if key is None else key, self._graph
         flow = Flow(graph, len(policies))
         for index, (layer, states) in enumerate(zip(graph.layers, self._states, strict=True)):
@@ -314,7 +314,7 @@ def _solved(
     numbers = {"horizon": config.horizon, "num_grip_nodes": num_grip_nodes, "objects": table.num_objects}
     for name, number in numbers.items():
         if number < 1:
-            raise ArgumentError(f"{name} is {number}; at least 1 is needed")
+            raise ArgumentError(f"{name} is {number}; give at least 1")
     with _without_garbage_collection():
         graph = Graph(Team(GridWorld(table, config, num_grip_nodes), workspace), max_states)
         return float(graph.worth(graph.root).item()), graph

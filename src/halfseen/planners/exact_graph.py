@@ -153,8 +153,9 @@ class Graph:
         if self.num_states > self.max_states:
             config, num_done = self.team.config, len(self.layers)
             raise ArgumentError(
-                f"{self.world.num_objects} objects over {config.num_stages} steps have more than {self.max_states:,} "
-                f"states (so many after {num_done} of them); shorten the horizon or take fewer objects"
+                f"{self.world.num_objects} objects over {config.num_stages} steps have more than "
+                f"{self.max_states:,} states (exceeded after {num_done} of them); shorten the horizon or use "
+                "fewer objects"
             )
 
     def q(self, node: Node) -> dict[int, Grid]:

@@ -65,9 +65,9 @@ class GridGrasping:
         if not all(isinstance(number, (int, float)) for number in numbers):
             return
         if len(self.held_s) != len(self.held_share) or abs(sum(self.held_share) - 1.0) > _SUM_TO_ONE:
-            raise ArgumentError(f"held_share is {self.held_share}; give one share for each of held_s, that sum to 1")
+            raise ArgumentError(f"held_share is {self.held_share}; give one share for each of held_s, with sum 1")
         if not all(0.0 < time <= self.limit_s for time in self.held_s):
-            raise ArgumentError(f"held_s is {self.held_s}; times lie above 0 and not above limit_s, {self.limit_s}")
+            raise ArgumentError(f"held_s is {self.held_s}; give times above 0 and at most limit_s, {self.limit_s}")
 
     @property
     def offset_std(self) -> Number:
@@ -297,4 +297,4 @@ def _check_between(name: str, probabilities: Float[np.ndarray, " k"]) -> None:
     """Check that probabilities are in (0, 1), so that log-odds are finite."""
     wrong = probabilities[~((probabilities > 0.0) & (probabilities < 1.0))]
     if len(wrong):
-        raise ArgumentError(f"{name} is {wrong[0]:g}; it lies between 0 and 1 and is neither: change config")
+        raise ArgumentError(f"{name} is {wrong[0]:g}; it must lie strictly between 0 and 1; change config")

@@ -130,14 +130,15 @@ class Team:
     def __post_init__(self) -> None:
         law = self.config.grasping
         if self.workspace is not None and self.config.has_own_laws:
-            raise ArgumentError("robots have laws of grasping of their own; a team is solved whose robots have one law")
+            raise ArgumentError(
+                "each robot has its own law of grasping; an exact solution needs one law for all robots"
+            )
         if not self.is_alone and not isinstance(law, GridGrasping):
             raise ArgumentError(
-                f"grasping is {type(law).__name__}, whose attempts may take any time; a team is solved under "
-                "GridGrasping"
+                f"grasping is {type(law).__name__}, whose attempts may take any time; solve a team under GridGrasping"
             )
         if self.workspace is not None and self.config.drop_out_rate is not None:
-            raise ArgumentError("drop_out_rate is given; a team is solved whose robots do not drop out")
+            raise ArgumentError("drop_out_rate is given; an exact solution needs robots that do not drop out")
 
     @property
     def config(self) -> WorldConfig:
@@ -182,7 +183,7 @@ class Team:
     def decisions(self, tally: Tally, work: Work) -> Iterator[tuple[int, Work]]:
         """Iterate over the possible actions of the deciding robot, as in `possible_actions`, and the resulting work."""
         robot, levels = work.decider, self.world.levels(tally)
-        assert robot is not None, "somebody is free"
+        assert robot is not None, "some robot is free"
         before, behind = work.doings[:robot], work.doings[robot + 1 :]
         to_go = (*work.to_go[:robot], work.to_go[robot] - 1, *work.to_go[robot + 1 :])
         yield FINISH, Work((*before, self._leaving[robot], *behind), to_go)
@@ -223,7 +224,7 @@ class Team:
         """Possible endings of a robot's action."""
         counted = tally[doing.target]
         if doing.verb in (Verb.WASH, Verb.LIFT):
-            assert counted is not None, "nobody takes what another is at"
+            assert counted is not None, "no robot takes an object that another is acting on"
             return self._endings_of_attempt(robot, doing, counted.failures, counted.successes)
         price = float(self.config.reward_per_s)
         left_s = [_left_s(doing, end.duration_s) for end in doing.ends]
@@ -249,7 +250,7 @@ class Team:
         verb, target, counted = doing.verb, doing.target, tally[doing.target]
         if verb == Verb.FINISH:
             return ending.paid, tally, Doing(PARKED), NOTHING
-        assert counted is not None, "nobody takes what another is at"
+        assert counted is not None, "no robot takes an object that another is acting on"
         is_held, paid, after = ending.end.is_held, ending.paid, None
         if is_held and verb == Verb.WASH:
             paid = paid + self.world.washed(target, counted.looks)

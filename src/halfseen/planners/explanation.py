@@ -140,7 +140,7 @@ def explain(
     'LIFT 0'
     """
     if num_rollouts < 2:
-        raise ArgumentError(f"num_rollouts is {num_rollouts}; at least 2 are needed to tell their spread")
+        raise ArgumentError(f"num_rollouts is {num_rollouts}; at least 2 are needed to estimate their spread")
     check_goes_on(state)
     rollout_key, draw_key = random.split(key)
     rollouts = rollouts_of(config, state, rollout_key, num_rollouts)

@@ -239,7 +239,8 @@ class RolloutPolicy:
     def __post_init__(self) -> None:
         if self.num_futures < 2:
             raise ArgumentError(
-                f"num_futures is {self.num_futures}; give at least 2, as their scatter tells how sure a gain is"
+                f"num_futures is {self.num_futures}; give at least 2; the standard error of a gain is estimated "
+                "from them"
             )
 
     @property

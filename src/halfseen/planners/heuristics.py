@@ -75,7 +75,7 @@ class GreedyPolicy:
 
     def __post_init__(self) -> None:
         if self.grasp is not None and not self.uses_history:
-            raise ArgumentError("grasp is given and uses_history is False; a grasp model looks at the history")
+            raise ArgumentError("grasp is given but uses_history is False; a grasp model uses the history")
 
     def worth(self, state: TableState) -> Float[Array, "*B N"]:
         """Expected reward of an attempt to WASH each object; −∞ if it is not on the table."""

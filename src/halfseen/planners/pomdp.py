@@ -59,13 +59,13 @@ class POMDPPolicy:
 
     def __post_init__(self) -> None:
         if not float(self.planning_horizon).is_integer():
-            raise ArgumentError(f"planning_horizon is {self.planning_horizon}; it is a whole number")
+            raise ArgumentError(f"planning_horizon is {self.planning_horizon}; give a whole number")
         if self.planning_horizon == 1:
             object.__setattr__(self, "num_simulations", 0)
             return
         for name in ("planning_horizon", "num_simulations"):
             if getattr(self, name) < 1:
-                raise ArgumentError(f"{name} is {getattr(self, name)}; it is at least 1")
+                raise ArgumentError(f"{name} is {getattr(self, name)}; give at least 1")
 
     def decide(self, state: TableState, key: Key) -> Decision:
         """Choose for each table; the rollouts draw from `key` (the propensity is unknown)."""
@@ -219,8 +219,8 @@ def _check(state: TableState, num_simulations: int | None, seconds: float | None
     if (seconds is None) == (num_simulations is None):
         raise ArgumentError(f"seconds is {seconds} and num_simulations is {num_simulations}; give one of the two")
     if seconds is not None and not 0.0 < seconds < math.inf:
-        raise ArgumentError(f"seconds is {seconds}; it is a positive number of seconds")
+        raise ArgumentError(f"seconds is {seconds}; give a positive number of seconds")
     for name, number in (("num_simulations", num_simulations), ("planning_horizon", planning_horizon)):
         if number is not None and number < 1:
-            raise ArgumentError(f"{name} is {number}; it is at least 1")
+            raise ArgumentError(f"{name} is {number}; give at least 1")
     check_goes_on(state)

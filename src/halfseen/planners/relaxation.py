@@ -95,12 +95,12 @@ def information_relaxation_bound(
     table = scene if isinstance(scene, Scene) else Scene(np.asarray(scene, dtype=np.float64))
     steps, num_objects = config.horizon if horizon is None else horizon, table.num_objects
     if not 1 <= num_objects <= MAX_OBJECTS:
-        raise ArgumentError(f"the scene has {num_objects} objects; the bound takes 1 to {MAX_OBJECTS}")
+        raise ArgumentError(f"the scene has {num_objects} objects; the bound needs 1 to {MAX_OBJECTS}")
     for name, number, least in (("horizon", steps, 1), ("num_samples", num_samples, 2)):
         if number < least:
-            raise ArgumentError(f"{name} is {number}; at least {least} is needed")
+            raise ArgumentError(f"{name} is {number}; give at least {least}")
     if num_grip_nodes is not None and num_grip_nodes < 1:
-        raise ArgumentError(f"num_grip_nodes is {num_grip_nodes}; at least 1 is needed, or None for normal offsets")
+        raise ArgumentError(f"num_grip_nodes is {num_grip_nodes}; give at least 1, or None for normal offsets")
     _check_revealed(config, reveals)
     world, rng = GridWorld(table, config, num_grip_nodes or 1), np.random.default_rng(seed)
     dirty, of_dirty = _told_of_dirt(world, steps, reveals)
@@ -127,10 +127,10 @@ def information_relaxation_bound(
 
 def _check_revealed(config: WorldConfig, reveals: str) -> None:
     if reveals not in REVEALED:
-        raise ArgumentError(f"reveals is {reveals!r}; it is one of {', '.join(REVEALED)}")
+        raise ArgumentError(f"reveals is {reveals!r}; give one of {', '.join(REVEALED)}")
     if reveals == "everything" and not isinstance(config.grasping, AssumedGrasping):
         name = type(config.grasping).__name__
-        raise ArgumentError(f"reveals is 'everything', and grasping is {name}, whose times are not known: use 'hidden'")
+        raise ArgumentError(f"reveals is 'everything', but grasping is {name}, whose times are not known; use 'hidden'")
 
 
 def _told_of_dirt(
@@ -148,8 +148,8 @@ def _told_of_dirt(
     right_if_dirty, wrong_if_clean = world.seeing.positive(occlusions, 0.0)
     if not np.allclose(right_if_dirty, 1.0 - wrong_if_clean, rtol=0.0, atol=1e-12):
         raise ArgumentError(
-            "reveals is 'looks', and labels are not right as often of dirty objects as of clean ones, so that none is "
-            "the best of all: use 'hidden'"
+            "reveals is 'looks', but labels are not equally accurate for dirty and clean objects, so no look "
+            "is the best; use 'hidden'"
         )
     best, labels = float(np.maximum(right_if_dirty, 1.0 - right_if_dirty).max()), np.arange(horizon + 1)
     if_dirty = dirty_share * binom.pmf(labels, horizon, best)

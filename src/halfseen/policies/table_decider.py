@@ -144,8 +144,8 @@ def table_reason(
     >>> from halfseen.world import Scene
     >>> state = first_state(Scene(np.array([[0.0, 0.5], [0.0, 0.0]])), horizon=10, dirty_share=0.6).state
     >>> table_reason(TableExplanation.of(state, 0.6), np.array([0.0, 1.0, 0.5, 0.0, 1.8]))
-    'LIFT 1: worth 0.80 more than WASH 0; it would lay bare 50% of object 0, of which nothing is known yet; as for \
-WASH 0, it is half hidden (0.50), and nothing is known yet of whether it is dirty.'
+    'LIFT 1: worth 0.80 more than WASH 0; it would uncover 50% of object 0, not labelled yet; as for WASH 0, \
+it is half hidden (0.50), and not labelled yet.'
     """
     names, best = ActionSpace(len(explanation.is_there)).names, int(np.argmax(q))
     own = action_reason(explanation, best)

@@ -103,7 +103,7 @@ def handle_mesh(cup: Cup) -> tuple[Vertices, Faces]:
     Vertices are in the cup's frame [m], and triangles face outward; ``handle_m > 0``.
     """
     if cup.handle_m <= 0:
-        raise SceneError(f"cup: handle_m is {cup.handle_m}, so there is no handle to build; ask for a cup that has one")
+        raise SceneError(f"cup: handle_m is {cup.handle_m}, so there is no handle to build; give a cup that has one")
     bow_m, bar_radius_m = handle_bow(cup, _NUM_ALONG_HANDLE)
     x_m, z_m = bow_m[:, 0], bow_m[:, 2]
     outward = np.stack([np.gradient(z_m), -np.gradient(x_m)], 1)

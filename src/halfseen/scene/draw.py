@@ -183,7 +183,7 @@ def random_table(seed: int) -> Table:
         table = _propose(num_cups, f"table of seed {seed}", rng)
         if table is not None and _is_kept(table):
             return table
-    raise SceneError(f"seed {seed}: none of {_NUM_PROPOSALS} tables with {num_cups} cups was kept; take another seed")
+    raise SceneError(f"seed {seed}: none of {_NUM_PROPOSALS} tables with {num_cups} cups was kept; choose another seed")
 
 
 def num_cups_of(seed: int) -> int:

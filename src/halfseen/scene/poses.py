@@ -36,7 +36,9 @@ class Pose:
             raise SceneError(f"pose: {numbers} holds a number that is not finite; a pose has seven finite numbers")
         length = float(np.linalg.norm(self.quaternion))
         if abs(length - 1.0) > 1e-4:
-            raise SceneError(f"pose: the quaternion {self.quaternion} has length {length:.6g}; divide it by its length")
+            raise SceneError(
+                f"pose: the quaternion {self.quaternion} has length {length:.6g}, not 1; divide it by its length"
+            )
 
     @property
     def rotation(self) -> Float[np.ndarray, "3 3"]:

@@ -46,10 +46,10 @@ class Camera:
     def __post_init__(self) -> None:
         if self.num_rows < 1 or self.num_columns < 1:
             raise SceneError(
-                f"camera: {self.num_rows} rows by {self.num_columns} columns; an image has at least 1 by 1"
+                f"camera: {self.num_rows} rows by {self.num_columns} columns; an image needs at least 1 by 1"
             )
         if not min(self.focal_px) > 0:
-            raise SceneError(f"camera: focal_px is {self.focal_px}; focal lengths are positive")
+            raise SceneError(f"camera: focal_px is {self.focal_px}; give a positive number")
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -85,7 +85,7 @@ class Camera:
         seen_m = self.world_from_camera.apply_inverse(points_m)
         if np.any(seen_m[:, 2] <= 0):
             raise SceneError(
-                f"camera: a point has depth {seen_m[:, 2].min():.3g} m, behind the lens; turn the camera to it"
+                f"camera: a point has depth {seen_m[:, 2].min():.3g} m, behind the lens; turn the camera towards it"
             )
         return seen_m[:, :2] / seen_m[:, 2:] * np.asarray(self.focal_px) + np.asarray(self.centre_px)
 

@@ -181,7 +181,7 @@ def log_of(cuts: CutEpisodes, world: WorldConfig) -> Logs:
 def treated(cuts: CutEpisodes, encoded: Encoded, treatment: str, world: WorldConfig) -> TrajectoryArrays:
     """A log as a learner sees it under one of `TREATMENTS`; equal to reading back its `Logs`, without writing it."""
     if treatment not in TREATMENTS:
-        raise ArgumentError(f"treatment is {treatment!r}; it is one of {', '.join(TREATMENTS)}")
+        raise ArgumentError(f"treatment is {treatment!r}; give one of {', '.join(TREATMENTS)}")
     clocks = StageClocks(
         trajectory_ids=np.arange(len(cuts.end_s)),
         elapsed_s=elapsed_s(cuts),
@@ -262,7 +262,7 @@ class LoggedTrajectories:
         treatments: dict[int, list[int]] = {}
         for number, (cuts, treatment) in enumerate(logs):
             if self.laws and treatment != "weighted":
-                raise ArgumentError(f"laws are fitted to weighted logs, and this one is {treatment}; give laws=False")
+                raise ArgumentError(f"laws are fitted to weighted logs, but this one is {treatment}; give laws=False")
             treatments.setdefault(id(cuts), []).append(number)
         learned: dict[tuple[int, int], Learned] = {}
         for numbers in treatments.values():

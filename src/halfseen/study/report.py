@@ -62,7 +62,8 @@ def report_of(results: StudyResults, pictures: Mapping[str, bytes]) -> str:
     for name in pictures:
         if name not in names:
             raise ArgumentError(
-                f"a picture of {name!r}, but the scenes are {', '.join(names)}; name it after its scene"
+                f"no scene is named {name!r} for its picture; the scenes are {', '.join(names)}: name it after "
+                "its scene"
             )
     content = {
         "setting": setting,

@@ -63,7 +63,7 @@ class Store:
             held = read_text(path) if path.exists() else claim
         except (OSError, UnicodeDecodeError) as error:
             raise ArgumentError(
-                f"--out {folder}: cannot be written ({reason_of(error)}); name a folder that you may write"
+                f"--out {folder}: cannot be written ({reason_of(error)}); name a writable folder"
             ) from error
         if held != claim:
             raise ArgumentError(
@@ -93,11 +93,10 @@ class Store:
         try:
             kept = json_of(read_text(path, NUMBERS))
             if not (isinstance(kept, dict) and kept.get("sha256") == self._digest(kept.get("piece"))):
-                raise ValueError("it was changed, or another study wrote it")
+                raise ValueError("it was changed, or written by another study")
         except (OSError, ValueError) as error:
             raise ArgumentError(
-                f"--out: {path} cannot be read ({reason_of(error)}); remove it and go on with "
-                "--resume: it is made again"
+                f"--out: {path} cannot be read ({reason_of(error)}); remove it and run again with --resume"
             ) from error
         return kept["piece"]
 
@@ -205,8 +204,8 @@ def chosen(names: Sequence[str], experiments: Sequence[Experiment] = EXPERIMENTS
     known = {each.name: each for each in experiments}
     for name in names:
         if name not in known:
-            there = f"there are {', '.join(known)}{did_you_mean(name, known)}"
-            raise ArgumentError(f"--only {name}: there is no such experiment; {there}")
+            there = f"give one of {', '.join(known)}{did_you_mean(name, known)}"
+            raise ArgumentError(f"--only {name}: unknown experiment; {there}")
     return tuple(each for each in experiments if not names or each.name in names)
 
 

@@ -90,16 +90,17 @@ def law_sentence(setting: Setting) -> str:
     if setting.law is not None:
         fit = read_law(setting.law).law.grasp
         return (
-            f"How grasps go and how often labels err is estimated, not assumed: from {fit.num_decided + fit.num_cut:,} "
-            f"attempts of a cell in simulated physics, of which {fit.num_cut:,} were cut."
+            "The laws of grasping and seeing are estimated, not assumed: from "
+            f"{fit.num_decided + fit.num_cut:,} attempts of a cell in simulated physics, of which "
+            f"{fit.num_cut:,} were cut."
         )
-    law, start = setting.world.grasping, "How grasps go and how often labels err is assumed, not estimated"
+    law, start = setting.world.grasping, "The laws of grasping and seeing are assumed, not estimated"
     if not isinstance(law, AssumedGrasping):
         return f"{start}."
     times = np.exp(float(law.log_time_per_occlusion))
     return (
-        f"{start}: that a grasp takes {times:.0f} times as long where the object is wholly hidden is this project’s "
-        "own choice."
+        f"{start}: a grasp takes {times:.0f} times as long where the object is fully hidden, which is this "
+        "project’s own choice."
     )
 
 
@@ -120,7 +121,7 @@ def look_at(
     of_name: dict[str, Path] = {}
     for path in paths:
         if path.stem in of_name:
-            raise ArgumentError(f"{of_name[path.stem]} and {path} have one name; give each cloud a name of its own")
+            raise ArgumentError(f"{of_name[path.stem]} and {path} have the same name; give each cloud a unique name")
         of_name[path.stem] = path
     seen = []
     with Progress(len(paths), "look", "tables") as bar, workers.ready_if_worth() as pool:

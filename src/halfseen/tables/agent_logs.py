@@ -58,13 +58,15 @@ def agent_view(logs: Logs, robot: int) -> Logs:
         The log breaks a rule of tables or of teams, a column is missing, or the robot never acted.
     """
     if robot not in set(logs.stages["robot"] if "robot" in logs.stages.columns else ()):
-        raise ArgumentError(f"robot is {robot}, and it decides in no stage of the log; choose among its column robot")
+        raise ArgumentError(f"robot is {robot}, which decides in no stage of the log; choose one in its column robot")
     columns.require_columns("stages", logs.stages, (f"{robot}_reward",))
     log = checked_tables(logs, is_team=True)
     mine = _in_reach(log, _with_own_history(log, robot), log.is_reached[:, robot])
     stages, trajectories = _own_stages(logs, robot, _is_clear(logs, mine))
     if not len(stages):
-        raise LogError(f"robot {robot} began nothing in any trajectory; there is nothing to learn from it alone")
+        raise LogError(
+            f"robot {robot} began no action in any trajectory, so it has no log of its own; choose another robot"
+        )
     at = stages[[*_STAGE, "of_team"]].rename(columns={"of_team": "stage", "stage": "own"})
     own_objects = mine.merge(at, on=_STAGE).drop(columns="stage").rename(columns={"own": "stage"})
     of_one = [name for name in logs.trajectories.columns if columns.is_of_one_robot(name)]
@@ -243,7 +245,7 @@ def _robots_of_attempts(log: TableLog, robot: int) -> Int[np.ndarray, " attempts
     by = each.merge(begun.assign(number=begun.groupby(key).cumcount()), on=[*key, "number"], how="left")["robot"]
     made_by = by.where(each["number"].to_numpy() >= 0, robot)
     trouble = (
-        "it was tried more often than by the WASH and LIFT of the stages; mend its past attempts, or give attempt_by"
+        "it has more attempts than the WASH and LIFT of the stages made; fix its past attempts, or give attempt_by"
     )
     columns.refuse(objects, tried.rows_with(made_by.isna().to_numpy()), trouble, (*_STAGE, "object"))
     return made_by.to_numpy(dtype=np.int64)

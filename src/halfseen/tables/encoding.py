@@ -72,8 +72,8 @@ def states_alone(logs: Logs, horizon: int) -> TableState:
     robots = logs.stages["robot"].nunique() if "robot" in logs.stages.columns else 1
     if robots > 1:
         raise LogError(
-            f"stages: the log is of {robots} robots, and one table's policy decides for one; learn it with "
-            "CensoredQLearner.for_team, or the part of one robot, halfseen.tables.agent_view(logs, robot)"
+            f"stages: the log has {robots} robots, but a table policy decides for one; learn with "
+            "CensoredQLearner.for_team, or from the view of one robot, halfseen.tables.agent_view(logs, robot)"
         )
     return replace(states_of(logs, horizon), robots=None, workspace=None, decider=None)
 
@@ -105,9 +105,7 @@ def check_team(logs: Logs, num_robots: int | None = None) -> None:
         # This reports the missing columns of robots.
         checked_tables(logs, is_team=True)
     if num_robots not in (None, found):
-        raise LogError(
-            f"the log is of {found} robots, and it is to be learned for {num_robots}; give the number of the log"
-        )
+        raise LogError(f"the log has {found} robots, but num_robots is {num_robots}; give the number of the log")
 
 
 def logged_actions(logs: Logs, horizon: int, num_objects: int, *, is_team: bool = False) -> Int[np.ndarray, "n T"]:
@@ -128,8 +126,8 @@ def logged_actions(logs: Logs, horizon: int, num_objects: int, *, is_team: bool 
 
     def unknown(row: int) -> str:
         said, target = (shown(value_at(stages, column, row)) for column in ("action", "object"))
-        who = "a team knows" if is_team else "a table knows"
-        return f"action {said} of object {target} is none that {who}; give {_in_words(is_team)}"
+        who = "a team" if is_team else "a table"
+        return f"action {said} of object {target} is unknown to {who}; give {_in_words(is_team)}"
 
     refuse(stages, wrong, unknown)
     action = np.full((logs.num_trajectories, horizon), FINISH, dtype=np.int64)
@@ -162,7 +160,7 @@ def table_covariates(logs: Logs, columns: Sequence[str]) -> pd.DataFrame:
     unknown = [name for name in columns if name not in TABLE_COVARIATES]
     if unknown:
         known = ", ".join(TABLE_COVARIATES) + did_you_mean(unknown[0], TABLE_COVARIATES)
-        raise ArgumentError(f"censoring covariate {unknown[0]!r} is none of a table's: {known}")
+        raise ArgumentError(f"censoring covariate {unknown[0]!r} is not one of a table's: {known}")
     assert logs.objects is not None
     keys = ["trajectory", "stage"]
     there = logs.objects[logs.objects["location"] == TABLE]

@@ -109,13 +109,13 @@ class TableExplanation:
         word = _word(_HIDDEN, share)
         hidden = f"{word} ({share:.2f})" if word else "in plain sight"
         if not self.is_labelled[index]:
-            return [hidden, "nothing is known yet of whether it is dirty"]
+            return [hidden, "not labelled yet"]
         return [f"{hidden} and {_word(_DIRTY, self.is_dirty[index])} ({self.is_dirty[index]:.2f})"]
 
     def known_as(self, index: int) -> str:
         """P(DIRTY) of an object in words, in brackets."""
         if not self.is_labelled[index]:
-            return " (nothing is known of it yet)"
+            return " (not labelled yet)"
         return f" ({_word(_DIRTY, self.is_dirty[index])}, {self.is_dirty[index]:.2f})"
 
 
@@ -129,9 +129,9 @@ def action_reason(explanation: TableExplanation, action: int) -> str:
     >>> state = first_state(Scene(np.array([[0.0, 0.5], [0.0, 0.0]])), horizon=10, dirty_share=0.6).state
     >>> explanation = TableExplanation.of(state, dirty_share=0.6, worst_wash=-10.0)
     >>> action_reason(explanation, 4)
-    'it would lay bare 50% of object 0, of which nothing is known yet'
+    'it would uncover 50% of object 0, not labelled yet'
     >>> action_reason(explanation, 1)
-    'it is half hidden (0.50), nothing is known yet of whether it is dirty, and a wrong WASH costs up to 10'
+    'it is half hidden (0.50), not labelled yet, and a wrong WASH costs up to 10'
     """
     if action == FINISH:
         return _left(explanation)
@@ -153,14 +153,14 @@ def _revealed(explanation: TableExplanation, target: int) -> str:
     if occluded >= _HIDES:
         parts.append(f"show its own hidden {occluded:.0%}{known_as[target]}")
     elif unseen >= _HIDES:
-        parts.append(f"show the {unseen:.0%} of it that no label has told of{known_as[target]}")
+        parts.append(f"show the {unseen:.0%} of it that no label has covered{known_as[target]}")
     if shown:
         bare = _listed([f"{explanation.hides[k, target]:.0%} of object {k}{known_as[k]}" for k in shown])
         more = f", and some of {_listed(sorted(behind[_MOST_TOLD:]))}" if behind != shown else ""
-        parts.append(f"lay bare {bare}{more}")
+        parts.append(f"uncover {bare}{more}")
     if not parts:
-        parts.append(f"show once more what is in plain sight{known_as[target]}")
-    return f"it would {' and '.join(parts)}{', of which nothing is known yet' if is_unknown else ''}"
+        parts.append(f"show again what is in plain sight{known_as[target]}")
+    return f"it would {' and '.join(parts)}{', not labelled yet' if is_unknown else ''}"
 
 
 def _described(explanation: TableExplanation, target: int, verb: int) -> str:
@@ -178,9 +178,10 @@ def _left(explanation: TableExplanation) -> str:
     labelled = [int(k) for k in np.flatnonzero(explanation.is_there & explanation.is_labelled)]
     count = int(explanation.is_there.sum())
     if not labelled:
-        return f"nothing is known yet of the {'only object' if count == 1 else f'{count} objects'} left"
+        none = "the only object left is not" if count == 1 else f"none of the {count} objects left is"
+        return f"{none} labelled yet"
     likely = max(labelled, key=lambda k: explanation.is_dirty[k])
-    left = "the only object left" if count == 1 else f"the likeliest dirty of the {count} objects left, {likely},"
+    left = "the only object left" if count == 1 else f"the object most likely dirty of the {count} left, {likely},"
     return f"{left} is {_listed(explanation.looks(likely), ', and ')}"
 
 
@@ -203,19 +204,19 @@ def implied(policy: LawPolicy, state: TableState, action: int) -> str:
     >>> state = first_state(Scene(np.array([[0.0, 0.5], [0.0, 0.0]])), horizon=10, dirty_share=0.6).state
     >>> policy = AssistedPolicy(WorldConfig())
     >>> implied(policy, state, 2)
-    'by the laws of its log a grasp holds with 0.87, and the WASH pays 1.62 on average'
+    'under the laws fitted to its log a grasp holds with probability 0.87, and the WASH pays 1.62 on average'
     >>> implied(policy, state, 4)
-    'by the laws of its log a grasp holds with 0.87, and the look is worth 3.09, for 0.30'
+    'under the laws fitted to its log a grasp holds with probability 0.87, and the look is worth 3.09 and costs 0.30'
     >>> implied(policy, state, 0)
-    'by the laws of its log 1.2 dirty objects would be left, for 6.0'
+    'under the laws fitted to its log 1.2 dirty objects would be left, which costs 6.0'
     """
     config, mended = policy.config, mapped(np.asarray, policy.mended(state))
     ahead = ahead_of(config, table_of(config, mended))
-    by_laws = "by the laws of its log"
+    by_laws = "under the laws fitted to its log"
     if action == FINISH:
         price = float(left_price(config, ahead.table))
         count = price / float(config.reward_dirty_left) if config.reward_dirty_left else 0.0
-        return f"{by_laws} {count:.1f} dirty objects would be left, for {-price:.1f}"
+        return f"{by_laws} {count:.1f} dirty objects would be left, which costs {-price:.1f}"
     space = ActionSpace(state.num_objects)
     verb, target = int(space.verb(action)), int(space.target(action))
     expected = ahead.look.expected[0]
@@ -225,7 +226,12 @@ def implied(policy: LawPolicy, state: TableState, action: int) -> str:
         further = f"; further steps add {float(policy.excess(ahead)[action - 1]):.2f}"
     if verb == Verb.WASH:
         pays = float(ahead.look.worth[target])
-        return f"{by_laws} a grasp holds with {chance:.2f}, and the WASH pays {pays:.2f} on average{further}"
+        return (
+            f"{by_laws} a grasp holds with probability {chance:.2f}, and the WASH pays {pays:.2f} on average{further}"
+        )
     cost = -float(config.reward_lift_per_s) * (float(config.transport_s) + float(expected[ATTEMPT_S][target]))
     worth = float(ahead.values[1][action - 1] - ahead.control) + cost
-    return f"{by_laws} a grasp holds with {chance:.2f}, and the look is worth {worth:.2f}, for {cost:.2f}{further}"
+    return (
+        f"{by_laws} a grasp holds with probability {chance:.2f}, and the look is worth {worth:.2f} and costs "
+        f"{cost:.2f}{further}"
+    )

@@ -69,7 +69,7 @@ def attempts(logs: Logs, horizon: int | None = None) -> pd.DataFrame:
     ends, is_clear = _ends(logs), logs.is_finished[stage_places(logs)[0]] & (stages["action"] == Verb.WASH.name)
     rows = stages.assign(time_s=ends.after_s, next=ends.stage, is_last=_is_last(logs, horizon), is_clear=is_clear)
     rows = pd.DataFrame(rows[stages["action"].isin([verb.name for verb in TARGETED])])
-    _refuse(rows, rows["object"].isna().to_numpy(), "nobody says which object was tried; name it in the column object")
+    _refuse(rows, rows["object"].isna().to_numpy(), "the object of the attempt is null; name it in the column object")
     rows = rows.astype({"object": objects["object"].dtype})
     rows = rows.merge(objects, on=_KEY, how="left", validate="one_to_one")
     _refuse(rows, rows["occlusion"].isna().to_numpy(), "the object is not listed in this stage; list it in objects")
@@ -89,7 +89,7 @@ def rows_of_attempts(logs: Logs, tried: pd.DataFrame) -> Int[np.ndarray, " k"]:
 
 def _checked_objects(logs: Logs) -> pd.DataFrame:
     if logs.objects is None:
-        raise LogError("objects: the log has none; attempts are read from logs with an objects table")
+        raise LogError("objects: the log has no objects table, which reading attempts needs; add it")
     require_columns("objects", logs.objects, _HISTORY)
     known = logs.objects if "grip" in logs.objects.columns else logs.objects.assign(grip=0.0)
     known = pd.DataFrame(known[[*_KEY, *_HISTORY, "grip"]])
@@ -143,10 +143,10 @@ def _of_one(rows: pd.DataFrame, counts: Float[np.ndarray, "rows 2"]) -> pd.Serie
     gained = counts - rows[_HISTORY[1:]].to_numpy(dtype=np.float64)
     is_cut, is_observed = rows["elapsed_s"].isna().to_numpy(), ~np.isnan(counts).any(axis=1)
     is_right = (np.sort(gained, axis=1) == [0, 1]).all(axis=1)
-    wrong = "successes and failures do not grow by this one attempt until the next stage; mend the counts"
+    wrong = "successes and failures do not grow by this one attempt until the next stage; fix the counts"
     _refuse(rows, ~is_cut & is_observed & ~is_right, wrong)
     cleared = ~is_cut & (rows["next"] == 0).to_numpy() & (rows["action"] == Verb.WASH.name).to_numpy()
-    unknown = "no later stage tells whether the attempt succeeded; give the horizon if it ended the trajectory"
+    unknown = "no later stage shows whether the attempt succeeded; give the horizon if it ended the trajectory"
     _refuse(rows, ~is_cut & ~is_observed & ~cleared, unknown)
     return pd.Series((is_observed & (gained[:, 0] == 1)) | cleared, dtype="boolean").mask(pd.Series(is_cut))
 
@@ -263,14 +263,14 @@ def _weights(
     model = named_model(censoring) if is_weighted else None
     for column, other in (("time_s", "is_finished"), ("is_finished", "time_s")):
         if column in frame.columns and other not in frame.columns:
-            raise ArgumentError(f"{NAME}: there is {column} without {other}; add {other}, or leave out {column}")
+            raise ArgumentError(f"{NAME}: column {column} needs {other}; add {other}, or leave out {column}")
     if len(frame) == 0:
         raise ArgumentError(f"{NAME} has no rows; give at least one decided attempt")
     if "time_s" not in frame.columns:
         return np.ones(len(frame)), np.ones(len(frame), dtype=bool)
     is_finished = _flags(frame, "is_finished", np.ones(len(frame), dtype=bool))
     if not is_finished.any():
-        raise ArgumentError(f"{NAME}: all {len(frame)} were cut before they were decided; record until some are")
+        raise ArgumentError(f"{NAME}: all {len(frame)} attempts were cut undecided; record until some are decided")
     if model is None:
         return is_finished.astype(np.float64), is_finished
     covariates = np.column_stack(history) if uses_covariates(model) else None
@@ -286,10 +286,10 @@ def _flags(frame: pd.DataFrame, column: str, is_read: RowMask) -> RowMask:
 
 _COUNT = (lambda values: (values >= 0) & (values == np.floor(values)), "give a count, 0 or more")
 _MAY_BE: dict[str, tuple[Callable[[Rows], RowMask], str]] = {
-    "occlusion": (lambda values: (values >= 0) & (values <= 1), "a hidden share lies in [0, 1]"),
+    "occlusion": (lambda values: (values >= 0) & (values <= 1), "give a hidden share in [0, 1]"),
     "successes": _COUNT,
     "failures": _COUNT,
-    "time_s": (lambda values: values > 0, "give the time that the attempt was watched, > 0 s"),
+    "time_s": (lambda values: values > 0, "give the time for which the attempt was observed, > 0 s"),
 }
 
 
@@ -338,7 +338,7 @@ def splits_of(decided: Decided, num_folds: int, random_state: int) -> list[tuple
     num_objects = [len(np.unique(decided.group[decided.succeeded == outcome])) for outcome in (False, True)]
     if min(num_objects) < FEWEST_OBJECTS:
         word = "failures" if num_objects[0] < FEWEST_OBJECTS else "successes"
-        raise ArgumentError(f"{word} were seen of one object alone, so none can be held out; record more objects")
+        raise ArgumentError(f"{word} were seen for at most one object, so none can be held out; record more objects")
     num_folds = min(num_folds, *num_objects)
     objects, place = np.unique(decided.group, return_inverse=True)
     share = np.bincount(place, decided.succeeded) / np.bincount(place)

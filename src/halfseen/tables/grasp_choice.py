@@ -42,10 +42,10 @@ FEWEST_ATTEMPTS = 30
 """Fewest decided attempts for a choice."""
 GRIP_SPREAD = np.array([1.0, 0.5])
 """Standard deviations of the normal prior on shift and per_grip, with mean 0."""
-KEPT = "the probability of a grasp is the rule of succession’s"
+KEPT = "the probability of a grasp is by the rule of succession"
 BY_ROBOT = (
-    "the probability of a grasp is learned from each robot’s own attempts: held out, these foretell them better than "
-    "those of all"
+    "the probability of a grasp is learned from each robot’s own attempts: held out, these predict better than "
+    "the attempts of all"
 )
 
 
@@ -84,7 +84,7 @@ def choose_by(tried: pd.DataFrame, horizon: int, num_robots: int = 1) -> GraspCh
     """
     num_decided = int(tried["is_finished"].sum())
     if num_decided < FEWEST_ATTEMPTS:
-        return GraspChoice(None, f"{KEPT}: {num_decided} decided attempts are too few to learn it from")
+        return GraspChoice(None, f"{KEPT}: {num_decided} decided attempts are too few to learn it")
     with warnings.catch_warnings(), one_thread():
         # These weights are internal, and the standard error accounts for their noise.
         warnings.simplefilter("ignore", HalfseenWarning)
@@ -104,13 +104,13 @@ def choose_by(tried: pd.DataFrame, horizon: int, num_robots: int = 1) -> GraspCh
     if len(said) > 1 and _is_clear(beta - held.errors(said[1 + robot, np.arange(len(robot))])):
         shared, *own = [held.table(theta[-1], mine, horizon) for theta, mine in zip(thetas, is_of, strict=True)]
         return GraspChoice(GraspByRobot(shared, stacked(own)), BY_ROBOT)
-    left = f"{beta.sum() / rule.sum():.0%} of its squared error"
+    left = f"{beta.sum() / rule.sum():.0%} of the squared error"
     if not _is_clear((1.0 - WORTH) * rule - beta):
-        why = f"{KEPT}: held out, a Beta regression does not clearly halve its error (it leaves {left})"
+        why = f"{KEPT}: held out, a Beta regression does not clearly halve the error ({left} remains)"
         return GraspChoice(None, why)
     return GraspChoice(
         held.table(thetas[0, -1], is_of[0], horizon),
-        "the probability of a grasp is learned from the log’s attempts: held out, a Beta regression foretells them "
+        "the probability of a grasp is learned from the log’s attempts: held out, a Beta regression predicts "
         f"better than the rule of succession, with {left}",
     )
 
@@ -171,9 +171,7 @@ def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
     if grasp is None or (isinstance(grasp, GraspModel) and not isinstance(grasp, type)):
         return grasp
     if isinstance(grasp, type) or not isinstance(grasp, GraspEstimator):
-        raise ArgumentError(
-            f"grasp is {grasp!r}; it is None, BetaGrasp(), SVMGrasp(), either of them fitted, or a GraspTable"
-        )
+        raise ArgumentError(f"grasp is {grasp!r}; give None, BetaGrasp() or SVMGrasp(), fitted or not, or a GraspTable")
     if is_fitted(grasp):
         return grasp_table.tabulate(grasp, horizon)
     return grasp_model_by(grasp, attempts(logs, horizon), horizon)

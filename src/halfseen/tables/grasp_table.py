@@ -141,14 +141,15 @@ def tabulate(model: GraspEstimator, horizon: int, effect: GripEffect = IN_FULL) 
         `horizon` is below 1, or the model gives no probabilities.
     """
     if horizon < 1:
-        raise ArgumentError(f"horizon is {horizon}; a trajectory has at least 1 stage")
+        raise ArgumentError(f"horizon is {horizon}; give at least 1 stage")
     asked = every_history(horizon)
     probabilities = model.predict_proba(asked._asdict())[:, 1]
     wrong = ~((probabilities >= 0) & (probabilities <= 1))
     if wrong.any():
         at = int(np.argmax(wrong))
         raise ArgumentError(
-            f"{model!r} gives {probabilities[at]} at occlusion {asked.occlusion[at]:g}; a probability lies in [0, 1]"
+            f"{model!r} gives {probabilities[at]} at occlusion {asked.occlusion[at]:g}; a probability must lie "
+            "in [0, 1]"
         )
     return table_of(probabilities, horizon, effect)
 

@@ -105,7 +105,7 @@ def with_lift_price(config: WorldConfig, log: WeightedLog) -> tuple[WorldConfig,
         return config, None
     mean_paid, was = weight @ paid / weight.sum(), weight @ expected / weight.sum()
     price = float(config.reward_lift_per_s * mean_paid / was)
-    words = f"a LIFT paid {mean_paid:.2g} on average, where its times and its price make {was:.2g}: it is priced so"
+    words = f"a LIFT paid {mean_paid:.2g} on average, but its times and price predict {was:.2g}: its price is corrected"
     return replace(config, reward_lift_per_s=price), words
 
 

@@ -266,17 +266,21 @@ def fitted_laws(evidence: Evidence, known: WorldConfig, prior: WorldConfig | Non
     seen = seeing_of(labels, evidence.dirty_share, None if prior is None else known_seeing(prior))
     config = replace(known, dirty_share=evidence.dirty_share, grasping=grasping, seeing=seen.law)
     is_mended = len(labels.trajectory) > 0 and (seen.recorder is None or seen.is_rejected)
-    family = "looks that show nothing new are no news" if labels.is_persistent else "each look is news"
+    family = "a look that shows nothing new adds no evidence" if labels.is_persistent else "each look adds evidence"
     if not len(labels.trajectory):
-        how = "no label tells how looks err"
+        how = "there are no labels to estimate the law of seeing from"
     elif seen.recorder is None:
         how = (
-            f"no one law of seeing made the log’s log-odds: it is fitted to the labels ({family}), log-odds recomputed"
+            "no single law of seeing explains the log-odds of the log: the law is fitted to the labels "
+            f"({family}) and the log-odds are recomputed"
         )
     elif seen.is_rejected:
-        how = "the labels contradict the recorder’s law of seeing: it is fitted to them, log-odds recomputed"
+        how = (
+            "the labels contradict the recorder’s law of seeing: the law is fitted to them and the log-odds are "
+            "recomputed"
+        )
     else:
-        how = f"the law of seeing is read from the log’s own log-odds ({family}); its labels do not contradict it"
+        how = f"the law of seeing is read from the log-odds of the log ({family}); the labels do not contradict it"
     return FittedLaws(config, is_mended, how)
 
 
@@ -294,5 +298,5 @@ def laws_in_words(laws: FittedLaws, tried: Watched) -> str:
             parts.append(f"{chance[is_it].mean():.2f} of the {is_it.sum():,} objects that were {words}")
     held = f"a first grasp holds for {' and '.join(parts)}; " if parts else ""
     found, falsely = (float(each) for each in config.seeing.positive(0.0, 0.0))
-    looks = f"a first look in full view calls dirty {found:.0%} of what is and {falsely:.0%} of what is not"
-    return f"by its laws {held}{looks}"
+    looks = f"a first look in full view labels {found:.0%} of dirty objects and {falsely:.0%} of clean ones as dirty"
+    return f"under its laws, {held}{looks}"

@@ -151,7 +151,7 @@ def assisted_by_laws(
     """
     unknown = [verb.name for verb in Verb if verb.name not in KNOWN]
     if unknown:
-        raise ArgumentError(f"no law says what comes of {', '.join(unknown)}")
+        raise ArgumentError(f"no law predicts the outcome of {', '.join(unknown)}")
     states = states_alone(logs, model.horizon)
     if known is None:
         is_dirty = np.where(states.is_on_table, expit(states.log_odds.astype(np.float64)), 0.0)
@@ -217,8 +217,8 @@ def rule_or_linear(
         why = f"the policy is linear eq. 3 without laws: it is worth {gain:.2g} more than the rule (at least {low:.2g})"
         return Chosen(linear, LINEAR, why)
     why = (
-        "the policy is the rule that counts history and penalty: the log does not clearly speak for linear eq. 3 "
-        f"(it is worth {gain:.2g} more, perhaps {low:.2g})"
+        "the policy is the rule that counts history and penalty: the log does not clearly speak for linear eq. "
+        f"3 (it is worth {gain:.2g} more, but perhaps only {low:.2g})"
     )
     return Chosen(rule, RULE, why)
 
@@ -276,7 +276,7 @@ class TeamLearner(TableLearner):
             test = law_test.tested_on_team(config, logs, states, brought_by(logs, states), log.weight)
         said = log if isinstance(log, str) else test.sentence
         if test.is_rejected:
-            why = f"{said}, so the policy is what is learned without them"
+            why = f"{said}, so the policy is learned without them"
             return Assisted(self.linear_policy_, LINEAR, laws, test, (sentence, why))
         num_sharing = config.num_robots if config.num_robots > 1 else 0
         counted = counting_time(config, num_sharing * float(self.unpriced_per_robot_s))
@@ -284,8 +284,8 @@ class TeamLearner(TableLearner):
         sentences = [sentence, said]
         if config.reward_per_s != counted.reward_per_s:
             sentences.append(
-                f"the log pays nothing for time; a second is counted {-float(counted.reward_per_s):.3g}, so that "
-                "robots do not wait for what hardly pays (unpriced_per_robot_s=0 counts none)"
+                f"the log has no price for time; a second costs {-float(counted.reward_per_s):.3g}, so that "
+                "robots do not wait for little gain (unpriced_per_robot_s=0 removes this cost)"
             )
         return Assisted(policy, MODEL, laws, test, tuple(sentences))
 
@@ -305,6 +305,8 @@ def team_laws(
         return laws
     recorder = seeing_of(evidence.labels, evidence.dirty_share).recorder
     if recorder is None:
-        return laws._replace(sentence="no one law of seeing made the log’s log-odds: it is fitted to the labels")
+        return laws._replace(
+            sentence="no single law of seeing explains the log-odds of the log: the law is fitted to the labels"
+        )
     config = replace(laws.config, seeing=recorder)
-    return FittedLaws(config, False, "the law of seeing is the one that made the log’s own log-odds")
+    return FittedLaws(config, False, "the law of seeing is read from the log-odds of the log")

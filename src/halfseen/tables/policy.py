@@ -218,7 +218,7 @@ def table_probabilities(policy: Any, states: TableState) -> Float[np.ndarray, "n
         It is for another number of robots.
     """
     if not isinstance(policy, Policy):
-        raise ArgumentError(f"{type(policy).__name__} decides nothing about tables, which the task is of")
+        raise ArgumentError(f"{type(policy).__name__} does not decide about tables; give a policy of tables")
     _check_number(policy, states)
     return _probabilities(policy, states)
 
@@ -250,8 +250,8 @@ def decisions(policy: Any, states: TableState) -> Int[np.ndarray, "*B"]:
     # A deterministic policy reports probability 1; the probability of a planner's choice is unknown, NaN.
     if not (decision.probability == 1.0).all():
         raise ArgumentError(
-            f"{type(policy).__name__} draws its actions, so that a state does not tell what it does; give a policy "
-            "that draws nothing"
+            f"{type(policy).__name__} draws its actions, so a state does not determine them; give a "
+            "deterministic policy"
         )
     return decision.action
 

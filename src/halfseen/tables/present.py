@@ -64,7 +64,7 @@ def prior_facts(logs: Logs) -> PriorFacts:
     if logs.objects is None:
         if stated is not None:
             return PriorFacts(stated, 0.0, 0)
-        raise LogError("objects: the log has none; a table is learned from logs with an objects table")
+        raise LogError("objects: the log has no objects table, which learning a table needs; add it")
     require_columns("objects", logs.objects, ("stage", "log_odds"))
     log_odds = as_floats("objects", logs.objects, "log_odds").to_numpy()
     at_first = expit(log_odds[logs.objects["stage"].to_numpy() == 1])
@@ -85,8 +85,8 @@ def dirty_share(parts: Sequence[PriorFacts]) -> float:
     least, largest = min(low for low, _ in stated), max(high for _, high in stated)
     if largest > least or not 0.0 < least < 1.0:
         raise LogError(
-            f"trajectories: {PRIOR_COLUMN} goes from {least:g} to {largest:g}; one policy has one prior between 0 "
-            "and 1: select the trajectories that share it"
+            f"trajectories: {PRIOR_COLUMN} goes from {least:g} to {largest:g}; a policy has one prior, between "
+            "0 and 1: select trajectories that share one"
         )
     return least
 
@@ -169,7 +169,7 @@ def unknown(scene: Scene, dirty_share: float) -> Known:
         `dirty_share` is not in (0, 1).
     """
     if not 0.0 < dirty_share < 1.0:
-        raise PolicyError(f"dirty_share is {dirty_share}; P(DIRTY) before any label lies between 0 and 1")
+        raise PolicyError(f"dirty_share is {dirty_share}; give P(DIRTY) before any label, between 0 and 1")
     none, prior = np.zeros(scene.num_objects), np.log(dirty_share) - np.log1p(-dirty_share)
     return Known(np.full(scene.num_objects, prior), none, none, np.asarray(scene.grip, dtype=np.float64))
 
@@ -186,8 +186,8 @@ def state_now(hides: Hides, known: Known, tried: Sequence[Tried], horizon: int, 
     """
     if not 1 <= stage <= horizon or len(tried) > horizon:
         raise PolicyError(
-            f"stage {stage} with {len(tried)} past attempts lies beyond the policy's horizon of {horizon} stages; the "
-            "trajectory is over, or learn with a longer horizon"
+            f"stage {stage} with {len(tried)} past attempts is beyond the policy's horizon of {horizon} stages; "
+            "end the trajectory, or learn with a longer horizon"
         )
     empty = [Tried(NO_ATTEMPT, 0.0, False)] * (horizon - len(tried))
     target, occluded, succeeded = (np.array(column) for column in zip(*tried, *empty, strict=True))

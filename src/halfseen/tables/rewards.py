@@ -212,7 +212,7 @@ class _Uses(NamedTuple):
 
 def _as_arrays(stages: RewardedStages) -> tuple[Float[np.ndarray, "n T 6"], _Uses]:
     """Outcomes of the stages of a team, and the regression that each stage is used in."""
-    assert stages.encoded.outcome is not None, "TeamTask.encode tells what ended"
+    assert stages.encoded.outcome is not None, "TeamTask.encode sets the outcomes"
     outcome = stages.encoded.outcome[..., :NUM_OUTCOMES]
     is_whole, has_left = stages.weight > 0, outcome[..., NUM_LEFT] > 0
     goes_on, parks = is_whole & ~stages.is_last, is_whole & stages.is_last & (stages.encoded.action == 0)

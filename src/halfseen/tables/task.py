@@ -104,7 +104,9 @@ class TableTask:
 
     def outcome_features(self, names: Sequence[str]) -> Float[np.ndarray, " F"]:
         """Features of tables have no names; this always raises."""
-        raise ArgumentError(f"outcome_covariates is {list(names)}; on a table the outcome regression uses all features")
+        raise ArgumentError(
+            f"outcome_covariates is {list(names)}; the outcome regression of a table uses all features; leave it out"
+        )
 
     def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_trajectory: bool) -> pd.DataFrame:
         """Covariates of cuts, one row for each stage; None for all, or for those known at the beginning."""
@@ -201,7 +203,7 @@ class TeamTask(TableTask):
         caution = CAUTION * float(logs.stages["reward"].std(ddof=0)) if self.caution is None else self.caution
         if _unless_auto(self.base) is self.base:
             if isinstance(self.base, type) or not isinstance(self.base, Policy):
-                raise ArgumentError(f"base is {self.base!r}; it is None, 'auto', or a policy of a team")
+                raise ArgumentError(f"base is {self.base!r}; give None, 'auto' or a policy of a team")
             check_decides_for(self.base, num_robots)
             return replace(self, caution=caution)
         try:
@@ -209,11 +211,11 @@ class TeamTask(TableTask):
             learner = CensoredQLearner.for_table(horizon // num_robots, laws=None)
             base = IndependentPolicies(tuple(learner.fit(view).policy_ for view in views))
         except (ArgumentError, LogError, PositivityError) as error:
-            why = f"Q is that of the best policy, for what each robot does alone cannot be learned: {error}"
+            why = f"Q is that of the best policy, as policies of single robots cannot be learned: {error}"
             return replace(self, base=None, chosen=(*self.chosen, why))
         why = (
-            f"what each robot learned alone is left where Q promises more by {caution:.3g}, {CAUTION} standard "
-            "deviations of a stage’s reward"
+            f"the policy departs from what each robot learned alone where Q is higher by {caution:.3g}, "
+            f"{CAUTION} standard deviations of the reward of a stage"
         )
         return replace(self, base=base, caution=caution, chosen=(*self.chosen, why))
 

@@ -126,7 +126,7 @@ class CellWatch:
     def ended(self, run: Run) -> None:
         """Add the outcome."""
         self._tell_what_was_learned()
-        self._events.append("the table came to its own end" if run.cause is None else f"cut: {run.cause}")
+        self._events.append("the table finished" if run.cause is None else f"cut: {run.cause}")
         self._events.append(
             f"{run.num_washed} of {run.num_dirty} dirty cups washed in {run.seconds:.0f} s, reward {run.reward:+.1f}"
         )
@@ -145,8 +145,8 @@ class CellWatch:
 
     def _begun(self, moment: Moment) -> StageView:
         cell, view, cloud = self._cell, self._cell.view, self._cell.cloud
-        assert view is not None, "what is decided on was looked at"
-        assert cloud is not None, "and so there is its cloud"
+        assert view is not None, "a decision follows a look"
+        assert cloud is not None, "a look keeps its cloud"
         world_from_table, memory = cell.world_from_table, cell.memory
         table_from_world = np.linalg.inv(world_from_table)
         chances = 1.0 / (1.0 + np.exp(-np.asarray(moment.state.log_odds, dtype=np.float64)))
@@ -210,7 +210,7 @@ def explained(policy: Policy, moment: Moment) -> tuple[tuple[Option, ...], str]:
         base_key, _, _ = random.split(moment.key, 3)
         options, reason = explained(policy.base, moment._replace(key=base_key))
         usual = int(policy.base.decide(state, base_key).action)
-        return options, reason if usual == moment.action else f"{name}: by chance, to explore; {explanation}."
+        return options, reason if usual == moment.action else f"{name}: drawn at random, to explore; {explanation}."
     decision = TableDecider(policy).decide_with(Present(state, moment.stage), moment.key)
     options = options_of(decision)
     return options, decision.reason if decision.action == name else f"{name}: {explanation}."

@@ -212,7 +212,7 @@ def _axis_label(decision: Decision, shown: Sequence[str], from_zero: bool) -> st
     known = sum(q is not None for q in decision.q_values.values())
     more = f"; {known - len(shown)} more not shown" if known > len(shown) else ""
     cut = "" if from_zero else ", not from 0"
-    lines = "line: 95 % interval of Q" if decision.intervals else f"{MISSING} how sure nobody knows"
+    lines = "line: 95 % interval of Q" if decision.intervals else f"{MISSING} no interval known"
     return f"value [reward]{cut}{more}\n{lines}"
 
 

@@ -152,5 +152,5 @@ def draw_follow_up(shown: FollowUp) -> Figure:
     below: Any = {"xytext": (0, -21), "textcoords": "offset points", "va": "top", "color": OURS}
     for time_s, count in zip(shown.risk_time_s, shown.num_watched, strict=True):
         ends.annotate(f"{count:,}", (float(time_s), 0), xycoords=("data", "axes fraction"), ha="center", **below)
-    ends.annotate("still watched", (-0.05, 0), xycoords="axes fraction", ha="right", **below)
+    ends.annotate("at risk", (-0.05, 0), xycoords="axes fraction", ha="right", **below)
     return figure

@@ -29,7 +29,7 @@ def figures_of(found: Monitored, unit: str | None) -> dict[str, Markup]:
     """Draw the rewards over time, if known, and the evidence for a change over time, by title."""
     figures = {}
     if found.course is not None and found.outcomes is not None:
-        title = "What a trajectory earns so far, with bounds that hold at all times, beside what was promised"
+        title = "Mean reward of a trajectory so far, with bounds that hold at all times, and the promised reward"
         figures[title] = inline_svg(partial(_draw_earned, found, unit), "f-earned", title)
     title = "Evidence for a change: the smaller the p-value, the stronger; below its line, a family alarms"
     figures[title] = inline_svg(partial(_draw_evidence, found), "f-evidence", title)
@@ -46,7 +46,7 @@ def _draw_earned(found: Monitored, unit: str | None) -> Figure:
     mean = np.cumsum(outcomes.values[at - 1]) / np.arange(1, len(at) + 1)
     if found.promised is not None:
         axes.axhspan(found.promised["low"], found.promised["high"], color=SOFT, alpha=BAND_OPACITY, linewidth=0)
-        axes.axhline(found.promised["value"], color=SOFT, linestyle="--", label="promised, and between what")
+        axes.axhline(found.promised["value"], color=SOFT, linestyle="--", label="promised, with its interval")
     # The bounds are of one mean, so they end where it has changed.
     held = at < found.findings[0].since if found.findings else at > 0
     axes.fill_between(at[held], course.lower[held], course.upper[held], color=OURS, alpha=BAND_OPACITY, linewidth=0)

@@ -42,9 +42,11 @@ def check_page_target(file: Path, overwrite: bool) -> None:
         if not (file.exists() or file.is_symlink()):
             return
         if not overwrite:
-            raise ArgumentError(f"{file}: it is there already; choose another file, or pass --overwrite to replace it")
+            raise ArgumentError(f"{file}: it already exists; choose another file, or pass --overwrite to replace it")
         if not file.is_file() or MARK not in file.read_bytes()[:MARKED_CHARS].decode(errors="replace"):
-            raise ArgumentError(f"{file}: it is no page of halfseen report, so it is not replaced; choose another file")
+            raise ArgumentError(
+                f"{file}: it is not a page of halfseen report, so it is not replaced; choose another file"
+            )
     except OSError as error:
         raise ArgumentError(f"{file}: it cannot be written ({error.strerror}); choose another file") from error
 
@@ -164,8 +166,8 @@ def _value_rows(policy: PolicyFindings) -> list[dict[str, Any]]:
         _value_row(name, value, "had nothing been cut", shares[name], own if k == 0 else None)
         for k, (name, value) in enumerate(words.values_of(evaluation).items())
     ]
-    best = "weights and model together, right if one is; read this one"
-    alike = "trajectories that did as the policy would"
+    best = "weights and model together, right if either is; read this one"
+    alike = "trajectories that followed the policy"
     return [
         *rows,
         _value_row("learned, doubly robust", evaluation.doubly_robust, best, share, ours),
@@ -192,7 +194,11 @@ def _left_out(policy: PolicyFindings, colours: dict[str, str]) -> str:
     covariates, actions = schema.get("covariates", ()), schema["actions"]
     drawn = {
         "stages": (len({curve.stage for curve in curves}), schema["horizon"], "the first"),
-        "covariates": (len({curve.covariate for curve in curves}), len(covariates), "those that sway the choice most"),
+        "covariates": (
+            len({curve.covariate for curve in curves}),
+            len(covariates),
+            "those that affect the choice most",
+        ),
         "actions": (sum(str(name) in colours for name in actions), len(actions), "the first"),
     }
     parts = [f"{shown} of {all_} {what}, {which}" for what, (shown, all_, which) in drawn.items() if shown < all_]

@@ -93,7 +93,7 @@ def read_recording(folder: str | os.PathLike[str]) -> Watched:
         head = json_of(read_text(folder / MARKER))
         if head["format"] != _FORMAT:
             raise ArgumentError(
-                f"{folder}: its format is {head['format']}, and {_FORMAT} is read; use a later halfseen"
+                f"{folder}: its format is {head['format']}, but this halfseen reads {_FORMAT}; use a later halfseen"
             )
         parts = _parts_of(read_arrays(folder / _PARTS))
         files = [folder / _STAGE.format(number) for number in range(1, head["num_stages"] + 1)]
@@ -101,7 +101,7 @@ def read_recording(folder: str | os.PathLike[str]) -> Watched:
     except ArgumentError:
         raise
     except (OSError, ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
-        raise ArgumentError(f"{folder}: not a whole recording ({reason_of(error)}); record it again") from error
+        raise ArgumentError(f"{folder}: not a complete recording ({reason_of(error)}); record it again") from error
 
 
 def _write(file: Path, arrays: Arrays) -> None:

@@ -90,7 +90,7 @@ def watched_logs(logs: Logs, clouds: Path, number: int, stored: StoredPolicy | N
     """
     if not 1 <= number <= logs.num_trajectories:
         raise ArgumentError(
-            f"--trajectory is {number}, and the log has {logs.num_trajectories} trajectories; count from 1"
+            f"--trajectory is {number}, but the log has {logs.num_trajectories} trajectories; count from 1"
         )
     if CLOUD not in logs.stages.columns:
         raise ArgumentError(
@@ -106,7 +106,7 @@ def watched_logs(logs: Logs, clouds: Path, number: int, stored: StoredPolicy | N
         stages.append(_logged_stage(trajectory, row, clouds, title, decisions[t], events))
         events.append(_done(row))
     cause = trajectory.trajectories["cause"].iloc[0]
-    ending = "came to its own end" if trajectory.is_finished[0] else f"was cut: {cause}"
+    ending = "finished" if trajectory.is_finished[0] else f"was cut: {cause}"
     stages[-1] = replace(stages[-1], events=(*stages[-1].events, events[-1], f"the trajectory {ending}"))
     return Watched(name, tuple(stages))
 
@@ -116,7 +116,7 @@ def _logged_stage(
 ) -> StageView:
     file = row[CLOUD]
     if not isinstance(file, str):
-        raise ArgumentError(f"{title}: no cloud was kept of it; choose another trajectory")
+        raise ArgumentError(f"{title}: no cloud is stored for this stage; choose another trajectory")
     if "\0" in file or not Path(os.path.realpath(clouds / file)).is_relative_to(os.path.realpath(clouds)):
         raise ArgumentError(f"{title}: its cloud {file!r} is not in {clouds}; give the folder that holds it")
     cloud = read_cloud(clouds / file)
@@ -124,9 +124,9 @@ def _logged_stage(
     stage = _seen_stage(cloud, view, title, _chances(trajectory, row["stage"], view, cloud), decision, events)
     action = _action(row)
     if decision is None or stage.action == action:
-        said = stage.reason or (f"{action}: what the log says was done" if action else "")
+        said = stage.reason or (f"{action}: the logged action" if action else "")
     else:
-        said = f"the log says {action or 'nothing'} was done; the policy: {stage.reason}"
+        said = f"logged: {action or 'nothing'}; the policy: {stage.reason}"
     return replace(stage, action=action, reason=said)
 
 
@@ -165,9 +165,9 @@ def _decisions(trajectory: Logs, stored: StoredPolicy | None) -> Sequence[Decisi
     stages = range(trajectory.horizon)
     if stored is None:
         return [None for _ in stages]
-    refuse_team(stored, "and a log is shown with what one robot would do; leave the policy out")
+    refuse_team(stored, "but a log is shown with the decisions of one robot; leave the policy out")
     if not stored.is_table:
-        raise PolicyError("the policy is of named actions, and shows nothing at a table; give one of tables")
+        raise PolicyError("the policy is of named actions, which a table cannot show; give a policy of tables")
     refuse_log_of_team(stored, trajectory)
     states, decider = states_of(trajectory, stored.horizon), decider_of(stored, extrapolates=True)
     return [decider.decide(Present(mapped(lambda leaf, t=t: leaf[0, t], states), t + 1)) for t in stages]

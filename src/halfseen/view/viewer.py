@@ -31,7 +31,7 @@ HERE = "127.0.0.1"  # the only address that is served
 LAYERS = {
     "cloud": "cloud",
     "shapes": "completed shapes, by P(DIRTY)",
-    "shadows": "what nobody can see",
+    "shadows": "hidden space",
     "hides": "who hides whom",
     "reveals": "what LIFT would reveal",
     "cell": "arm and table",
@@ -163,7 +163,7 @@ def local_server(port: int) -> "ViserServer":
     # The viewer would use the next port if this one is taken.
     if port and server.get_port() != port:
         server.stop()
-        raise ArgumentError(f"--port is {port}, and something else is served there; choose another port, or 0 for any")
+        raise ArgumentError(f"--port is {port}, which is in use; choose another port, or 0 for any")
     return server
 
 
@@ -309,7 +309,7 @@ class Page:
 
     def _run(self) -> None:
         """Play from the stage shown; from the first if that is the last."""
-        assert self._watched is not None, "what is played is there"
+        assert self._watched is not None, "a recording is shown before it is played"
         if self._index + 1 == len(self._watched.stages) > 1:
             self.go_to(0)
         while self._is_playing:

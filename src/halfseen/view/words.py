@@ -95,7 +95,7 @@ def standing(evaluation: Evaluation) -> str:
         ours, own = hourly.policy.per_hour, hourly.logging.per_hour
         value, within = with_interval(ours.value, ours.low, ours.high)
         today = amount(own.value, len(value.partition(".")[2]))
-        parts.append(f"{with_unit(value, unit)} an hour ({within}), where today’s is {today}")
+        parts.append(f"{with_unit(value, unit)} an hour ({within}), against {today} today")
     if not parts or not is_believed(evaluation):
         return ""
     earned = with_unit(significant(evaluation.doubly_robust.value), unit)
@@ -116,7 +116,7 @@ def in_percent(share: Estimate) -> tuple[str, str]:
 def why_no_hours(evaluation: Evaluation) -> str:
     """Why there is no value per hour, if so."""
     hourly = evaluation.per_hour
-    return "" if hourly is None or hourly.why_unknown is None else f"Nothing is said of an hour: {hourly.why_unknown}."
+    return "" if hourly is None or hourly.why_unknown is None else f"No value per hour: {hourly.why_unknown}."
 
 
 def duration_words(evaluation: Evaluation) -> str:
@@ -126,8 +126,8 @@ def duration_words(evaluation: Evaluation) -> str:
         return ""
     ours = f"{_seconds(hourly.policy)} with the learned policy and " if is_believed(evaluation) else ""
     return (
-        f"A trajectory takes {ours}{_seconds(hourly.logging)} with the logging policy, in the mean and had nothing "
-        "been cut; what passes between two trajectories is not counted."
+        f"A trajectory takes {ours}{_seconds(hourly.logging)} with the logging policy, on average and had "
+        "nothing been cut; the time between trajectories is not counted."
     )
 
 
@@ -140,9 +140,9 @@ def log_answer(findings: Findings) -> tuple[str, str, str]:
     """For a log without a policy: its state in one word, with its class; and its content, in a sentence."""
     log, is_sound, doubts = findings.log, findings.positivity.is_sound, len(findings.log["data_warnings"])
     if log["num_cut"]:
-        weights = f"what was seen {'can stand' if is_sound else 'stands badly'} for what the cuts took away"
+        weights = f"what was seen {'can' if is_sound else 'cannot safely'} stand for what was cut"
     else:
-        weights = "every trajectory counts once" + ("" if is_sound else ", and they are few")
+        weights = "every trajectory counts once" + ("" if is_sound else ", but they are few")
     wrong = (
         f"{counted(doubts, 'thing')} {'looks' if doubts == 1 else 'look'} wrong" if doubts else "nothing looks wrong"
     )
@@ -174,10 +174,10 @@ def notes(findings: Findings) -> list[str]:
     first, policy = [], findings.policy
     if policy is not None and policy.is_own_log:
         first = [
-            "The policy was learned from these very logs, which flatters it; judge it by logs that were kept aside."
+            ("The policy was learned from these logs, which biases its value upwards; evaluate it on held-out logs.")
         ]
     elif policy is not None and policy.record["log"].get("sha256"):
-        first = ["The policy was learned from other logs than these, as it should be."]
+        first = ["The policy was learned from other logs, as it should be."]
     if policy is not None and policy.evaluation.sensitivity:
         first.append(policy.evaluation.sensitivity)
     return [*first, *(as_sentence(note) for note in findings.notes)]
@@ -194,10 +194,12 @@ def values_title(evaluation: Evaluation) -> str:
     ours, unit, own = evaluation.doubly_robust, evaluation.reward_unit, significant(evaluation.logging.value)
     if evaluation.verdict == "inconclusive":
         within = with_unit(with_interval(ours.value, ours.low, ours.high)[1], unit)
-        words = "with the learned policy, as far as these logs tell, and"
+        words = "with the learned policy, as far as these logs show, and"
         return f"A trajectory earns {within} {words} {own} with the logging policy"
     agree = all(one.low <= ours.value <= one.high for one in (evaluation.importance_sampling, evaluation.fitted_q))
-    others = "the two other estimates agree" if agree else "the other estimates do not all agree, so read it with care"
+    others = (
+        "the two other estimates agree" if agree else "the two other estimates do not both agree, so read it with care"
+    )
     known = with_unit(significant(ours.value), unit)
     return f"A trajectory earns {known} with the learned policy and {own} with the logging policy; {others}"
 
@@ -205,7 +207,7 @@ def values_title(evaluation: Evaluation) -> str:
 def timeline_title(shown: Timeline, log: Mapping[str, Any]) -> str:
     """How long finished trajectories took, and how long cut ones had run."""
     if shown.num_trajectories == 1:
-        return f"The one trajectory, {shown.endings[0].name} after {significant(float(shown.end_s[0]))}\u00a0s"
+        return f"The only trajectory: {shown.endings[0].name} after {significant(float(shown.end_s[0]))}\u00a0s"
     median_s, cuts = log["finishes"]["median_s"], log["cuts"]
     done = f"Half of the trajectories that finished took {significant(median_s)}\u00a0s or less"
     done = "No trajectory finished" if median_s is None else done
@@ -219,7 +221,7 @@ def timeline_title(shown: Timeline, log: Mapping[str, Any]) -> str:
 def follow_up_title(shown: FollowUp, log: Mapping[str, Any]) -> str:
     """Title of the figure of follow-up."""
     if not log["num_cut"]:
-        return "No trajectory was cut: each was watched to its own end"
+        return "No trajectory was cut: each was observed to its end"
     enough = np.flatnonzero(shown.num_watched >= FEWEST_WATCHED)[-1:]
     at_s, last_s = float(shown.risk_time_s[enough].sum()), float(shown.time_s[-1])
     left = float(shown.survival[np.searchsorted(shown.time_s, at_s, side="right") - 1])
@@ -228,8 +230,8 @@ def follow_up_title(shown: FollowUp, log: Mapping[str, Any]) -> str:
     who = f"the cause of all cuts is {cause}" if main == 1 else f"the cause of most cuts, {percent(main)}, is {cause}"
     who = who if main > 0.5 else f"the most frequent cause of cuts is {cause}, {percent(main)} of them"
     return (
-        f"A trajectory that goes on is still uncut {first}after {last_s:.3g}\u00a0s, where the last one ended, with "
-        f"{'' if first else 'probability '}{float(shown.survival[-1]):.2f}; {who}"
+        f"A trajectory that has not finished is still uncut {first}after {last_s:.3g}\u00a0s, where the last "
+        f"one ended, with {'' if first else 'probability '}{float(shown.survival[-1]):.2f}; {who}"
     )
 
 
@@ -237,7 +239,7 @@ def choices_title(choices: list[dict[str, Any]]) -> str:
     """How often the policy agrees with the log, and which actions it takes more and less often."""
     known = [row for row in choices if row["as_logged"] is not None]
     if not known:
-        return "What was done in the states of the log is not known"
+        return "The actions taken in the states of the log are not known"
     states = np.array([row["num_states"] for row in known], dtype=float)
     same = float(np.average([row["as_logged"] for row in known], weights=states))
     change = {
@@ -249,15 +251,15 @@ def choices_title(choices: list[dict[str, Any]]) -> str:
     less = [name for name in sorted(change, key=lambda name: change[name]) if change[name] < -CLEAR_CHANGE]
     parts = [f"{listed(names[:3])} {word} often" for names, word in ((more, "more"), (less, "less")) if names]
     changed = f"; it takes {listed(parts)}" if parts else ", and it takes each action about as often"
-    return f"In {percent(same)} of the states the policy would do what was done{changed}"
+    return f"In {percent(same)} of the states the policy would take the logged action{changed}"
 
 
 def curves_title(curves: list[QCurve], is_cautious: bool) -> str:
     """What the curves show, and the values that the policy compares."""
     names = listed(list(dict.fromkeys(curve.covariate for curve in curves)))
     verb = "change" if " and " in names else "changes"
-    followed = "the highest line, where the log says enough of it" if is_cautious else "the highest line"
-    return f"What an action is worth as {names} {verb}: the policy takes {followed}"
+    followed = "the highest line, where the log has enough data" if is_cautious else "the highest line"
+    return f"The value of each action as {names} {verb}: the policy takes {followed}"
 
 
 def map_title(maps: list[PolicyMap]) -> str:
@@ -280,5 +282,5 @@ def table_map_title(shown: TableMap) -> str:
         mass = np.nan_to_num(share) * shown.num_objects
         if mass.sum() > 0:
             dirty, covered = (float(mass.sum(axis=k) @ of / mass.sum()) for k, of in enumerate((chance, hidden)))
-            parts.append(f"{verb} is for objects that are dirty with {percent(dirty)} and hidden by {percent(covered)}")
-    return f"In the mean, {listed(parts)}" if parts else "The policy touches objects of no one kind"
+            parts.append(f"{verb} takes objects dirty with probability {percent(dirty)} and {percent(covered)} hidden")
+    return f"On average, {listed(parts)}" if parts else "The policy takes no object"

@@ -201,8 +201,8 @@ def _refuse_silent(address: str) -> None:
 
 def _nobody_at(address: str | None, why: str) -> WorkerError:
     return WorkerError(
-        f"--address {address}: no Ray cluster answers there ({why}); start one with ray start --head, or mend the "
-        "address"
+        f"--address {address}: no Ray cluster answers there ({why}); start one with ray start --head, or fix "
+        "the address"
     )
 
 
@@ -266,8 +266,8 @@ def on_dask(num: int, address: str | None) -> Iterator[Engine]:
             client = Client(**here) if address is None else Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
         raise WorkerError(
-            f"--address {address}: no Dask scheduler answers there ({error}); start one with dask scheduler, or mend "
-            "the address"
+            f"--address {address}: no Dask scheduler answers there ({error}); start one with dask scheduler, or "
+            "fix the address"
         ) from error
     with client:
         threads: Any = client.nthreads()

@@ -83,7 +83,7 @@ def made(wanted: Mapping[str, str], function: UInt8[np.ndarray, " bytes"], numbe
     except HalfseenError as error:
         return Outcome(number, None, error)
     except MemoryError:
-        return Outcome(number, None, WorkerError("a worker is out of memory; give --workers a smaller number"))
+        return Outcome(number, None, WorkerError("a worker ran out of memory; give --workers a smaller number"))
 
 
 def result_of(function: Callable[[Any], Any], piece: Any) -> Any:
@@ -106,9 +106,7 @@ def _check_versions(wanted: Mapping[str, str]) -> None:
         others = ", ".join(
             f"{name} {here.get(name, 'missing')} instead of {version}" for name, version in other.items()
         )
-        raise WorkerError(
-            f"a worker has other versions than the machine that asks: {others}; install the same on all machines"
-        )
+        raise WorkerError(f"a worker has other versions than this machine: {others}; install the same on all machines")
 
 
 @lru_cache(maxsize=1)
@@ -203,9 +201,9 @@ class Pool:
                 num_lost, lost = num_lost + 1, error
             if num_lost == MOST_LOST:
                 raise WorkerError(
-                    f"workers of {engine.place} were lost {MOST_LOST} times, one after another "
-                    f"({type(lost).__name__}), with {len(left)} pieces left; most often they were killed for want of "
-                    "memory: give --workers a smaller number, and go on with what is done"
+                    f"workers of {engine.place} were lost {MOST_LOST} times in a row ({type(lost).__name__}), "
+                    f"with {len(left)} pieces left; the usual cause is a lack of memory: give --workers a "
+                    "smaller number, and continue from what is done"
                 ) from lost
 
     def in_order(self, function: Callable[[Piece], Result], pieces: Iterable[Piece]) -> Iterator[Result]:

@@ -40,13 +40,17 @@ class Workers:
 
     def __post_init__(self) -> None:
         if self.engine not in ENGINES:
-            raise ArgumentError(f"--engine {self.engine}: there are {', '.join(ENGINES)}")
+            raise ArgumentError(f"--engine {self.engine}: choose among {', '.join(ENGINES)}")
         if self.address is not None and self.engine == "processes":
-            raise ArgumentError(f"--address {self.address}: processes of this machine have none; name an --engine")
+            raise ArgumentError(
+                f"--address {self.address}: processes of this machine have no address; name an --engine"
+            )
         if self.address is not None and self.num is not None:
-            raise ArgumentError(f"--workers {self.num}: the cluster at {self.address} has its own; leave --workers out")
+            raise ArgumentError(
+                f"--workers {self.num}: the cluster at {self.address} sets its own number; leave --workers out"
+            )
         if self.num is not None and self.num < 1:
-            raise ArgumentError(f"--workers {self.num}: it takes at least 1")
+            raise ArgumentError(f"--workers {self.num}: give at least 1")
 
     @contextmanager
     def ready(self) -> Iterator[Pool]:

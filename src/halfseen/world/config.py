@@ -70,11 +70,11 @@ class WorldConfig:
 
     def __post_init__(self) -> None:
         if not self.speed:
-            raise ArgumentError("speed is (): give the speed of each robot, at least one")
+            raise ArgumentError("speed is (): give the speed of each robot, for at least one")
         if self.drop_out_rate is not None and len(self.drop_out_rate) != self.num_robots:
             raise ArgumentError(
-                f"drop_out_rate has {len(self.drop_out_rate)} entries for {self.num_robots} robots; give each its own, "
-                "0 for one that never drops out"
+                f"drop_out_rate has {len(self.drop_out_rate)} entries for {self.num_robots} robots; give one "
+                "for each robot, 0 if it never drops out"
             )
         check_number("reward_per_s", self.reward_per_s)
         for name, each in (("speed", self.speed), ("drop_out_rate", self.drop_out_rate or ())):
@@ -83,8 +83,8 @@ class WorldConfig:
         law = self.grasping
         if self.num_robots > 1 and isinstance(law, GraspingByRobot) and len(law.laws) != self.num_robots:
             raise ArgumentError(
-                f"grasping of the world has laws for {len(law.laws)} robots, and the team has {self.num_robots}; "
-                "give each its own, or all one"
+                f"grasping has laws for {len(law.laws)} robots, but the team has {self.num_robots}; give one "
+                "law for each robot, or one for all"
             )
 
     @property

@@ -56,7 +56,7 @@ class CutEpisodes:
 def unit_hazards(episodes: Episodes, kind: CutKind | str) -> Float[np.ndarray, "n T"]:
     """Integrated hazard of each stage at rate 1."""
     if kind not in CUT_KINDS:
-        raise ArgumentError(f"cut kind is {kind!r}; it is one of {', '.join(CUT_KINDS)}")
+        raise ArgumentError(f"cut kind is {kind!r}; give one of {', '.join(CUT_KINDS)}")
     duration_s = np.asarray(episodes.duration_s, dtype=np.float64)
     if kind == "independent":
         hazard = duration_s
@@ -73,7 +73,7 @@ def unit_hazards(episodes: Episodes, kind: CutKind | str) -> Float[np.ndarray, "
 def check_share(cut_share: float | int) -> None:
     """Check that the share of cut trajectories is in [0, 1)."""
     if not 0.0 <= cut_share < 1.0:
-        raise ArgumentError(f"cut share is {cut_share}; give the wanted share of cut trajectories, in [0, 1)")
+        raise ArgumentError(f"cut share is {cut_share}; give a share of cut trajectories in [0, 1)")
 
 
 def cut_rate(pilot: Episodes, cut_share: float | int, kind: CutKind | str) -> float:

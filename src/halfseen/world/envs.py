@@ -192,7 +192,7 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         if not 0.0 <= cut_rate < np.inf:
             raise ArgumentError(f"cut_rate is {cut_rate}; give cuts per second, finite and ≥ 0")
         if render_mode not in (None, "ansi"):
-            raise ArgumentError(f"render_mode is {render_mode!r}; it is None or 'ansi'")
+            raise ArgumentError(f"render_mode is {render_mode!r}; give None or 'ansi'")
         scenes, world = default_scene() if scenes is None else scenes, TableWorld.of(team, config)
         self.scenes = [scenes] if isinstance(scenes, Scene) else list(scenes)
         self.team, self.config, self.cut_rate, self.render_mode = team, world.played_config, cut_rate, render_mode
@@ -233,7 +233,7 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         rng = self.np_random
         which = (options or {}).get("scene", int(rng.integers(len(self.scenes))))
         if not 0 <= which < len(self.scenes):
-            raise ArgumentError(f"scene is {which}; there are scenes 0 to {len(self.scenes) - 1}")
+            raise ArgumentError(f"scene is {which}; give 0 to {len(self.scenes) - 1}")
         episode_seed = int(rng.integers(2**31))
         self._cut_s = float(rng.exponential() / self.cut_rate) if self.cut_rate else np.inf
         start_key, self._world_key, _ = random.split(random.fold_in(random.key_of(episode_seed), 0), 3)
@@ -253,7 +253,7 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         if self.is_ended:
             raise ArgumentError("the trajectory is over; call reset")
         if not (np.issubdtype(np.asarray(action).dtype, np.integer) and 0 <= action < self.num_actions):
-            raise ArgumentError(f"action is {action}; it lies in 0 to {self.num_actions - 1}")
+            raise ArgumentError(f"action is {action}; give 0 to {self.num_actions - 1}")
         key = random.fold_in(self._world_key, self._num_decisions)
         taken = np.asarray(action, dtype=np.int32)
         after, hidden, outcome = step(self.config, state, self._hidden, taken, key, any_action=True)

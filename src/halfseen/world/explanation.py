@@ -84,7 +84,7 @@ class Explanation:
             row = f"{self.actions[k]:10}{self.values[k]:+8.2f}  {interval:>16}{self.probability_best[k]:7.2f}"
             lines.append(row)
         if len(order) > _NUM_SHOWN:
-            lines.append(f"and {len(order) - _NUM_SHOWN} that are worth less")
+            lines.append(f"and {len(order) - _NUM_SHOWN} more that are worth less")
         return "\n".join([*lines, self._sentence()])
 
     def _sentence(self) -> str:
@@ -215,16 +215,17 @@ def _check(
     actions = ActionSpace.of_size(len(values))
     if len(values) != actions.num_actions or not is_possible[FINISH]:
         raise ArgumentError(
-            f"there are {len(values)} actions and FINISH is {'' if is_possible[FINISH] else 'im'}possible; a table has "
-            f"FINISH, which is always possible, and {', '.join(verb.name for verb in TARGETED)} of each object"
+            f"there are {len(values)} actions and FINISH is {'' if is_possible[FINISH] else 'im'}possible; a "
+            f"table needs FINISH, which is always possible, and {', '.join(verb.name for verb in TARGETED)} for "
+            "each object"
         )
     if len(draws) == 0:
-        raise ArgumentError("there is no draw of Q; give at least one")
+        raise ArgumentError("no draws of Q; give at least one")
     if not 0.0 < level < 1.0:
-        raise ArgumentError(f"level is {level}; it lies between 0 and 1")
+        raise ArgumentError(f"level is {level}; give a level between 0 and 1")
     wrong = is_possible & ~(np.isfinite(values) & np.isfinite(draws).all(axis=0))
     if wrong.any():
         action = int(np.argmax(wrong))
         raise ArgumentError(
-            f"Q of {actions.names[action]} is not finite, and the action is possible; give finite values and draws"
+            f"Q of {actions.names[action]} is not finite although the action is possible; give finite values and draws"
         )

@@ -273,7 +273,7 @@ class GraspingByRobot:
 
     def __post_init__(self) -> None:
         if not self.laws:
-            raise ArgumentError("laws is (): give the law of grasping of each robot, at least one")
+            raise ArgumentError("laws is (): give the law of grasping of each robot, for at least one")
         for k, law in enumerate(self.laws):
             check_law(law, f"laws[{k}]")
 
@@ -325,6 +325,6 @@ def check_law(law: object, where: str) -> None:
     """Raise an `ArgumentError` that names `where` unless `law` is the law of grasping of one robot."""
     if isinstance(law, type | GraspingByRobot) or not isinstance(law, GraspLaw):
         raise ArgumentError(
-            f"{where} is {law!r}, no law of grasping of one robot; give one, such as AssumedGrasping() or the grasping "
-            "of a calibrated Law"
+            f"{where} is {law!r}, not a law of grasping of one robot; give one, such as AssumedGrasping() or "
+            "the grasping of a calibrated Law"
         )

@@ -50,15 +50,15 @@ def _is_no_truth(values: Values) -> Wrong:
 
 _OF_NUMBERS: tuple[tuple[str, Callable[[Values], Wrong], str], ...] = (
     ("occlusion", _is_no_share, "is outside [0, 1]; give a share, not percent"),
-    ("log_odds", _is_not_finite, "is no finite number; give the log-odds of DIRTY"),
+    ("log_odds", _is_not_finite, "is not a finite number; give the log-odds of DIRTY"),
     ("seen", _is_no_share, "is outside [0, 1]; give a share, not percent"),
-    ("grip", _is_not_finite, "is no finite number; give the mean of its grip offset, 0 where nothing is known"),
-    ("lifts", _is_no_count, "is no count; give the number of past lifts"),
+    ("grip", _is_not_finite, "is not a finite number; give the mean of its grip offset, 0 where unknown"),
+    ("lifts", _is_no_count, "is not a count; give the number of past lifts"),
 )
 _OF_ENTRIES: tuple[tuple[str, Callable[[Values], Wrong], str], ...] = (
-    ("hidden_by", _is_no_share, "leaves [0, 1]; give shares, not percent"),
-    ("attempt_occlusions", _is_no_share, "leaves [0, 1]; give shares, not percent"),
-    ("attempt_succeeded", _is_no_truth, "holds other than true and false; say of each attempt whether it held"),
+    ("hidden_by", _is_no_share, "holds a value outside [0, 1]; give shares, not percent"),
+    ("attempt_occlusions", _is_no_share, "holds a value outside [0, 1]; give shares, not percent"),
+    ("attempt_succeeded", _is_no_truth, "holds values other than true and false; say whether each attempt held"),
 )
 
 
@@ -79,11 +79,14 @@ def most_decisions(logs: Logs | LogStream, num_robots: int) -> int:
     columns = [f"{r}_decisions_to_go" for r in range(num_robots)]
     for column in columns:
         if column not in logs.stage_covariates:
-            raise LogError(f"stages: there is no column {column!r}; add it: the decisions that the robot has left")
+            raise LogError(f"stages: column {column!r} is missing; add it: the decisions that the robot has left")
     frames = [logs.stages] if isinstance(logs, Logs) else logs.stage_columns(*columns)
     most = max(float(as_floats("stages", frame, column).max()) for frame in frames for column in columns)
     if not most >= 1:
-        raise LogError(f"stages: {', '.join(columns)} are {most:g} at most, yet robots decide; give what each has left")
+        raise LogError(
+            f"stages: {', '.join(columns)} are at most {most:g}, yet robots decide; give the decisions that each "
+            "robot has left"
+        )
     return int(most)
 
 
@@ -110,7 +113,7 @@ def checked_tables(logs: Logs, horizon: int | None = None, *, is_team: bool | No
         A rule is broken; the message names the trajectory, stage, object or robot, the value and the remedy.
     """
     if logs.objects is None:
-        raise LogError("objects: the log has none; a table is learned from logs with an objects table")
+        raise LogError("objects: the log has no objects table, which learning a table needs; add it")
     require_columns("objects", logs.objects, _NEEDED)
     if horizon is not None and logs.horizon > horizon:
         raise LogError(f"stages: a trajectory has {logs.horizon} stages, more than horizon={horizon}; raise horizon")
@@ -130,10 +133,10 @@ def _check_stages(log: TableLog) -> None:
     stages, is_gone = log.logs.stages, (log.objects["location"] != TABLE).to_numpy(dtype=bool)
     is_finish, who = stages["action"].eq(Verb.FINISH.name), ["trajectory", *({ROBOT} & set(stages.columns))]
     late = is_finish.groupby([stages[name] for name in who]).shift(fill_value=False).to_numpy(dtype=bool)
-    ends = "parks its robot for good" if ROBOT in stages.columns else "ends a trajectory"
-    refuse(stages, late, f"it comes after FINISH, which {ends}; drop the stage, or begin a new trajectory with it")
+    ends = "parks its robot permanently" if ROBOT in stages.columns else "ends a trajectory"
+    refuse(stages, late, f"it comes after FINISH, which {ends}; drop the stage, or start a new trajectory with it")
     is_known = log.objects["location"].isin(LOCATIONS)
-    log.refuse_objects("location", ~is_known, f"is none of {', '.join(LOCATIONS)}; say in which of them the object is")
+    log.refuse_objects("location", ~is_known, f"is not one of {', '.join(LOCATIONS)}; say where the object is")
 
     def gone(row: int) -> str:
         what = f"{value_at(stages, 'action', row)} of object {shown(value_at(stages, 'object', row))}"
@@ -151,12 +154,12 @@ def _check_whereabouts(log: TableLog) -> None:
 
     def lost(row: int) -> str:
         after = int(value_at(frame, "stage", row)) + 1
-        return f"stage {after} lists it no more; list an object from where it came into view to the end, washed or not"
+        return f"stage {after} no longer lists it; list an object from its first view to the end, washed or not"
 
     refuse(frame, goes_on & ~is_next, lost, OF_OBJECT)
     is_washed = frame["location"].eq(DISHWASHER)
     was_washed = is_washed.astype(np.int8).groupby([frame["trajectory"], number]).shift(fill_value=0).astype(bool)
-    remedy = f"follows {DISHWASHER}, from where nothing returns; fix one, or begin a new trajectory"
+    remedy = f"follows {DISHWASHER}, which no object leaves; fix one of them, or start a new trajectory"
     log.refuse_objects("location", was_washed & ~is_washed, remedy)
 
 
@@ -172,7 +175,7 @@ def _check_objects(log: TableLog) -> None:
     remedy = "does not give one share for each object of the scene; give one, 0 for itself"
     log.refuse_objects("hidden_by", hidden_by.lengths != size, remedy)
     own = np.cumsum(size) - size + rows - log.first
-    log.refuse_objects("hidden_by", hidden_by.values[own] > 0, "lets the object hide itself; its own entry is 0")
+    log.refuse_objects("hidden_by", hidden_by.values[own] > 0, "lets the object hide itself; set its own entry to 0")
     differs = lists["attempt_occlusions"].lengths != lists["attempt_succeeded"].lengths
     trouble = "attempt_occlusions and attempt_succeeded differ in length; give one of each per attempt"
     refuse(frame, differs, trouble, OF_OBJECT)
@@ -189,10 +192,10 @@ def _check_robots_there(log: TableLog) -> None:
     for robot in robots_that_may_drop_out(logs.trajectories):
         if robot > last:
             raise LogError(
-                f"trajectories: column '{robot}_out_s' is of a robot that there is none of; the stages tell of robots "
-                f"0 to {last}: rename it, or leave it out"
+                f"trajectories: column '{robot}_out_s' is of an unknown robot; the stages have robots 0 to "
+                f"{last}: rename it, or leave it out"
             )
-    remedy = f"but its columns tell of robots 0 to {last}; name it so, or add what it does"
+    remedy = f"but the columns are of robots 0 to {last}; use one of these, or add the columns of the robot"
     log.refuse_stages(ROBOT, log.decider < 0, remedy)
 
 
@@ -204,25 +207,25 @@ def _check_doings(log: TableLog, horizon: int | None) -> None:
     for r in robots:
         decides, does, decisions = log.decider == r, f"{r}_does", f"{r}_decisions_to_go"
         log.refuse_stages(
-            does, at[:, r] >= num_objects, f"and no trajectory has more than {num_objects} objects, from 0"
+            does, at[:, r] >= num_objects, f"but no trajectory has more than {num_objects} objects, counted from 0"
         )
         is_busy = decides & (log.does[:, r, 0] != IDLE[FREE])
-        log.refuse_stages(does, is_busy, f"yet robot {r} decides; it decides when it is FREE")
-        log.refuse_stages(f"{r}_since_s", since_s[:, r] < 0, "below 0; give the seconds that it has been at it")
-        log.refuse_stages(decisions, _is_no_count(to_go[:, r]), "no count; give the decisions that it has left")
-        trouble = f"more than horizon={horizon} decisions of all robots together; raise horizon, or mend it"
+        log.refuse_stages(does, is_busy, f"yet robot {r} decides; a robot decides only when it is FREE")
+        log.refuse_stages(f"{r}_since_s", since_s[:, r] < 0, "below 0; give the seconds since its action began")
+        log.refuse_stages(decisions, _is_no_count(to_go[:, r]), "not a count; give the decisions that it has left")
+        trouble = f"more than horizon={horizon} decisions of all robots together; raise horizon, or fix it"
         log.refuse_stages(decisions, to_go[:, r] > (np.inf if horizon is None else horizon), trouble)
         is_spent = decides & (to_go[:, r] == 0)
-        log.refuse_stages(decisions, is_spent, f"yet robot {r} decides; count this decision, too")
+        log.refuse_stages(decisions, is_spent, f"yet robot {r} decides; count this decision too")
         for s in robots[r + 1 :]:
             at_once = (at[:, r] == at[:, s]) & (at[:, r] != NOTHING)
-            log.refuse_stages(does, at_once, f"and {s}_does the same object; mend one of them")
+            log.refuse_stages(does, at_once, f"and {s}_does names the same object; fix one of them")
     is_taken = (at == log.target[log.begun][:, None]) & (log.begun >= 0)[:, None]
     is_taken[np.arange(len(stages)), log.decider] = False
 
     def taken(row: int) -> str:
         other = int(np.argmax(is_taken[row]))
-        return f"{_begins(log, row)}, which robot {other} is at by {other}_does; mend one of them"
+        return f"{_begins(log, row)}, which robot {other} is acting on by {other}_does; fix one of them"
 
     refuse(stages, is_taken.any(axis=1), taken)
 
@@ -231,8 +234,8 @@ def _check_workspace(log: TableLog) -> None:
     """Check that lists name existing robots and objects, and that robots act on objects in reach."""
     frame, size = log.objects, np.bincount(log.of_stage)[log.of_stage]
     robots = np.full(len(frame), log.num_robots)
-    no_robot = f"names a robot that there is none of; the stages tell of robots 0 to {log.num_robots - 1}"
-    no_object = "names an object that the stage has not; objects go by their place in it, from 0"
+    no_robot = f"names an unknown robot; the stages have robots 0 to {log.num_robots - 1}"
+    no_object = "names an object that the stage lacks; objects are numbered by their place in the stage, from 0"
     of_lists = [("reached_by", robots, no_robot), ("near", size, no_object), (ATTEMPT_BY, robots, no_robot)]
     for column, num, trouble in of_lists:
         if column not in frame.columns:
@@ -244,7 +247,7 @@ def _check_workspace(log: TableLog) -> None:
         wrong = _is_no_count(lists.values) | (lists.values >= num[lists.row])
         log.refuse_objects(column, lists.rows_with(wrong), trouble)
     is_beyond = (log.begun >= 0) & ~log.is_reached[log.begun, log.decider]
-    trouble = "which it does not reach by reached_by; mend one of them"
+    trouble = "which reached_by says it cannot reach; fix one of them"
     refuse(log.logs.stages, is_beyond, lambda row: f"{_begins(log, row)}, {trouble}")
 
 

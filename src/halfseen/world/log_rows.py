@@ -114,13 +114,13 @@ class TableLog:
         lists = pa.array(self.objects[column], from_pandas=True)
         if not (pa.types.is_list(lists.type) and _holds_numbers(lists.type.value_type)):
             raise LogError(
-                f"objects: column {column!r} holds {lists.type}, not lists of numbers; give each object a list"
+                f"objects: column {column!r} holds {lists.type}, not lists of numbers; give a list for each object"
             )
         row, flat = np.array(lists.value_parent_indices(), dtype=np.int64), lists.flatten()
         missing = np.array(lists.is_null(), dtype=bool)
         missing[row[np.array(flat.is_null(), dtype=bool)]] = True
         self.refuse_objects(
-            column, missing, "is null or holds one; give each object a list, empty where there is nothing"
+            column, missing, "is or holds null; give a list for each object, empty if it has no entries"
         )
         return Lists(row, np.array(flat, dtype=np.float64), np.bincount(row, minlength=len(self.objects)))
 
@@ -144,7 +144,7 @@ def _doing(stages: pd.DataFrame, robot: int) -> Int[np.ndarray, "stages 2"]:
     column = f"{robot}_does"
     code, words = pd.factorize(as_labels("stages", stages, column, is_null_allowed=True), use_na_sentinel=False)
     known = np.array([_parsed(str(each)) for each in words], dtype=np.int64).reshape(-1, 2)
-    remedy = f"it is {', '.join((*IDLE, *VERB_NAMES))}, the verbs of an object with its number"
+    remedy = f"give one of {', '.join((*IDLE, *VERB_NAMES))}, the verbs of an object with its number"
     wrong = known[code, 0] == _UNKNOWN
     refuse(stages, wrong, lambda row: f"{robot}_does is {shown(words[code[row]])}; {remedy}")
     return known[code]

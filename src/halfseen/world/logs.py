@@ -225,8 +225,8 @@ def _attempts(log: TableLog, at: tuple[np.ndarray, ...], shape: tuple[int, ...])
     if len(slot) and slot.max() >= shape[-1]:
         where = log.objects.iloc[occluded.row[np.argmax(slot)]]
         raise LogError(
-            f"trajectory {where['trajectory']}, stage {where['stage']}: {slot.max() + 1} past attempts, more than the "
-            f"horizon of {shape[-1]} stages allows; raise horizon or mend attempt_occlusions"
+            f"trajectory {where['trajectory']}, stage {where['stage']}: {slot.max() + 1} past attempts, more "
+            f"than the horizon of {shape[-1]} stages allows; raise horizon or fix attempt_occlusions"
         )
     place = trajectory, stage, slot
     found = {

@@ -96,7 +96,7 @@ class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
             self._was_dead_step(action)
             return
         if action is None:
-            raise ArgumentError(f"action of {agent} is None, and it goes on; give one in its mask")
+            raise ArgumentError(f"action of {agent} is None, but the agent is still active; give an action in its mask")
         self._cumulative_rewards[agent] = 0.0
         seen, reward, is_over, is_cut, _ = self.table.step(action)
         self.rewards = dict.fromkeys(self.agents, reward)

@@ -113,9 +113,9 @@ def check_fits(policy: Any, config: WorldConfig) -> None:
     known = getattr(policy, "num_stages", None)
     if known is not None and known != config.num_stages:
         raise PolicyError(
-            f"the policy was learned for {known} decisions of all robots together, and this team "
-            f"makes up to {config.num_stages} ({config.num_robots} robots, {config.horizon} each); learn it from "
-            "logs of such a team"
+            f"the policy was learned for {known} decisions of all robots together, but this team makes up to "
+            f"{config.num_stages} ({config.num_robots} robots, {config.horizon} each); learn it from logs of "
+            "such a team"
         )
 
 
@@ -130,13 +130,15 @@ def check_decides_for(policy: Any, num_robots: int) -> None:
     # A class attribute marks policies for one robot; policies for teams set it per instance.
     if getattr(type(policy), "num_robots", None) == 1:
         raise PolicyError(
-            f"{type(policy).__name__} decides for one robot, and a team's policy knows what the others are at; give "
-            "IndependentPolicies, with such a policy for each robot, or ReservingPolicy, with a rule of thumb"
+            f"{type(policy).__name__} decides for one robot, but a team's policy must know what the others do; "
+            "give IndependentPolicies with such a policy for each robot, or ReservingPolicy with a rule of "
+            "thumb"
         )
     known = getattr(policy, "num_robots", None)
     if known is not None and known != num_robots:
         raise PolicyError(
-            f"the policy is for {known} robots, and the team has {num_robots}; give one for as many, or another team"
+            f"the policy is for {known} robots, but the team has {num_robots}; give a policy or a team of the "
+            "same number"
         )
 
 

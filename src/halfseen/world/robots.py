@@ -84,7 +84,7 @@ def check_robot(given: Mapping[str, Any]) -> None:
     """
     base, name = given["base_m"], given["name"]
     if not (isinstance(name, str) and name.strip()):
-        raise ArgumentError(f"the robot at {base!r}: name is {name!r}; give a text")
+        raise ArgumentError(f"the robot at {base!r}: name is {name!r}; give a string")
     is_pair = isinstance(base, list | tuple | np.ndarray) and len(base) == 2
     if not (is_pair and all(is_number(each) and is_finite(each) for each in base)):
         raise ArgumentError(f"{name}: base_m is {base!r}; give two finite numbers, x and y [m]")
@@ -151,13 +151,15 @@ class Team:
             The scene lacks the places of its objects.
         """
         if scene.places_m is None:
-            raise SceneError(f"{scene.name}: places_m is None, so nobody knows who reaches what; give each a place")
+            raise SceneError(f"{scene.name}: places_m is None, so reach cannot be computed; give each object a place")
         bases_m = np.array([robot.base_m for robot in self.robots], dtype=np.float64)
         reach_m = np.array([[robot.reach_m] for robot in self.robots], dtype=np.float64)
         is_in_reach = np.linalg.norm(scene.places_m - bases_m[:, None], axis=-1) <= reach_m
         for k in np.flatnonzero(~is_in_reach.any(axis=0)):
             x, y = scene.places_m[k]
-            message = f"{scene.name}: object {k} at ({x:.3g}, {y:.3g}) m is in no robot's reach, so it counts as left"
+            message = (
+                f"{scene.name}: object {k} at ({x:.3g}, {y:.3g}) m is out of every robot's reach, so it counts as left"
+            )
             warnings.warn(f"{message}; move a base, or leave it out", HalfseenWarning, stacklevel=2)
         apart_m = np.linalg.norm(scene.places_m[:, None] - scene.places_m, axis=-1)
         return Workspace(is_in_reach, (apart_m < self.clearance_m) | np.eye(scene.num_objects, dtype=bool))
@@ -202,7 +204,7 @@ def read_team(path: str | Path, law_of: Callable[[str], GraspLaw] | None = None)
         _check_keys("", given, ("robot", *_OF_TEAM))
         each = given.get("robot")
         if not (isinstance(each, list) and each and all(isinstance(one, Mapping) for one in each)):
-            raise ArgumentError("there is no robot; give each a table of its own, [[robot]] with base_m and reach_m")
+            raise ArgumentError("no robots; give each robot a [[robot]] table with base_m and reach_m")
         of_team = {name: given[name] for name in _OF_TEAM if name in given}
         for name, value in of_team.items():
             check_number(name, value)
@@ -220,23 +222,23 @@ def _parsed(path: Path) -> Mapping[str, Any]:
     except OSError as error:
         raise ArgumentError(f"cannot be read ({error.strerror}); give a TOML or JSON file of robots") from error
     except ValueError as error:
-        raise ArgumentError(f"is no TOML or JSON ({error}); mend it there") from error
+        raise ArgumentError(f"is not TOML or JSON ({error}); fix it there") from error
     if not isinstance(given, Mapping):
-        raise ArgumentError(f"holds {type(given).__name__}, not keys; write it as `halfseen.world.robots` has it")
+        raise ArgumentError(f"holds {type(given).__name__}, not keys; write it as `halfseen.world.robots` shows")
     return given
 
 
 def _check_keys(where: str, given: Mapping[str, Any], known: tuple[str, ...]) -> None:
     for key in given:
         if key not in known:
-            raise ArgumentError(f"{where}there is no key {key!r} among {', '.join(known)}{did_you_mean(key, known)}")
+            raise ArgumentError(f"{where}unknown key {key!r}; give one of {', '.join(known)}{did_you_mean(key, known)}")
 
 
 def _robot(where: str, given: Mapping[str, Any], law_of: Callable[[str], GraspLaw] | None) -> Robot:
     _check_keys(f"{where}: ", given, _OF_ROBOT)
     for key in ("base_m", "reach_m"):
         if key not in given:
-            raise ArgumentError(f"{where}: {key} is missing; give it [m]")
+            raise ArgumentError(f"{where}: {key} is missing; give it in metres")
     parameters = {"name": where, **given}
     law = parameters.pop("law", None)
     check_robot(parameters)
@@ -245,6 +247,6 @@ def _robot(where: str, given: Mapping[str, Any], law_of: Callable[[str], GraspLa
     if not isinstance(law, str):
         raise ArgumentError(f"{where}: law is {law!r}; give the name of a law of grasping")
     if law_of is None:
-        raise ArgumentError(f"{where}: law is {law!r}, and nobody says which that is; give a law_of that does")
+        raise ArgumentError(f"{where}: law is {law!r}, but there is no law_of to look it up; give one")
     with within(f"{where}: law"):
         return Robot(**parameters, grasping=law_of(law))

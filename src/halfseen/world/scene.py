@@ -16,8 +16,8 @@ from halfseen.shapes import Float
 
 _SHAPES = {
     "hides": "it must be square",
-    "grip": "give one number for each of the objects",
-    "places_m": "give x and y an object",
+    "grip": "give one number for each object",
+    "places_m": "give x and y of each object",
 }
 
 
@@ -58,14 +58,14 @@ class Scene:
     def __post_init__(self) -> None:
         hides = np.array(self.hides, dtype=np.float64)
         num = len(hides) if hides.ndim else 0
-        self._keep("hides", hides, (num, num), _is_share, "a hidden share lies in [0, 1]")
+        self._keep("hides", hides, (num, num), _is_share, "give hidden shares in [0, 1]")
         i = int(np.argmax(np.append(np.diag(hides) != 0, True)))
         if i < num:
             raise SceneError(
-                f"{self.name}: hides[{i}, {i}] is {hides[i, i]}; an object does not hide itself: set it to 0"
+                f"{self.name}: hides[{i}, {i}] is {hides[i, i]}; an object does not hide itself; set it to 0"
             )
         grip = np.zeros(num) if self.grip is None else self.grip
-        self._keep("grip", grip, (num,), np.isfinite, "give a finite offset, 0 where nothing is known")
+        self._keep("grip", grip, (num,), np.isfinite, "give a finite offset, 0 where unknown")
         if self.places_m is not None:
             self._keep("places_m", self.places_m, (num, 2), np.isfinite, "give a finite place [m]")
 

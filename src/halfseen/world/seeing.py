@@ -234,7 +234,7 @@ class PersistentSeeing:
             if all(isinstance(value, (int, float)) for value in values):
                 _check_curve(name, values, len(self.views), is_rising=name == "views")
         if isinstance(self.facing, (int, float)) and not 0.0 < self.facing <= 1.0:
-            raise ArgumentError(f"facing is {self.facing}; the share that an object shows lies in (0, 1]")
+            raise ArgumentError(f"facing is {self.facing}; give the share that an object shows, in (0, 1]")
 
     def draw_latent(self, num_objects: int, key: Key) -> None:
         """No latent variable: the share seen so far is observed."""
@@ -288,5 +288,5 @@ class PersistentSeeing:
 def _check_curve(name: str, values: tuple[Number, ...], length: int, is_rising: bool) -> None:
     steps = np.diff(np.array([0.0, *values]))
     if len(values) != length or not values or values[-1] > 1.0 or (steps <= 0.0 if is_rising else steps < 0.0).any():
-        how = "rising from above 0" if is_rising else f"{length} as there are views, never falling from 0"
+        how = "rising from above 0" if is_rising else f"one for each of the {length} views, never falling from 0"
         raise ArgumentError(f"{name} is {values}; give numbers in [0, 1], {how}")

@@ -276,7 +276,7 @@ def check_goes_on(state: TableState) -> None:
         The trajectory is over.
     """
     if int(state.steps_to_go) < 1 or not np.asarray(state.is_on_table).any():
-        raise ArgumentError("the trajectory is over: no step to go or no object left; give a state before its end")
+        raise ArgumentError("the trajectory is over: no steps to go or no objects left; give a state before its end")
 
 
 def occlusion(state: TableState) -> Float[Array, "*B N"]:

@@ -238,8 +238,8 @@ def test_empty_sets_have_nothing_in_common():
         ([np.ones((1, 2)), np.ones(2)], r"set in row 1 has shape \(2,\)"),
         ([np.ones((1, 2)), [], np.ones((1, 3))], "set in row 2: objects have 3 features, those of rows above 2"),
         ([np.ones((1, 2)), [[1.0, 2.0], [0.0, np.nan]]], "set in row 1, object 1, feature 1: nan"),
-        ([[["a", "b"]]], "set in row 0 is not made of numbers"),
-        ([[[1.0, 2.0], [3.0]]], "set in row 0 is not made of numbers"),
+        ([[["a", "b"]]], "set in row 0 is not numeric"),
+        ([[[1.0, 2.0], [3.0]]], "set in row 0 is not numeric"),
     ],
 )
 def test_what_is_no_set_is_named(rows, message):

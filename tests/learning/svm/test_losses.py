@@ -119,7 +119,7 @@ def test_the_best_constant_of_pinball_is_the_weighted_quantile(quantile):
         *(("pinball", {"quantile": q}, f"quantile is {q}") for q in (0, 1.0, np.nan)),
         *(("epsilon-insensitive", {"epsilon": e}, f"epsilon is {e}") for e in (-0.1, np.inf)),
         *(("huber", {"delta": d}, f"delta is {d}") for d in (0, np.nan)),
-        ("hingee", {}, "there is no loss 'hingee'; there are squared, absolute"),
+        ("hingee", {}, "unknown loss 'hingee'; give one of squared, absolute"),
     ],
 )
 def test_refuses(name, parameters, says):
@@ -211,7 +211,7 @@ def kinked(value):
 @pytest.mark.parametrize(
     ("own", "says"),
     [
-        (kinked(lambda y, s: np.sqrt(np.abs(y - s))), r"bends down at y = .*convex in s"),
+        (kinked(lambda y, s: np.sqrt(np.abs(y - s))), r"not convex at y = .*convex in s"),
         (kinked(lambda y, s: np.where(s > y, np.nan, 0.0)), r"not finite; return one finite number a row"),
         (kinked(lambda y, s: np.abs(y - s).sum()), r"gives shape \(\) for 24 rows"),
         (SimpleNamespace(value=absolute), r"without value\(y, s\) and proximal\(y, v, step\) or derivative"),

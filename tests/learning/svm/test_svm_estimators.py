@@ -189,15 +189,15 @@ class NobodyIsWatched:
 LINEAR = {"loss": "squared", "kernel": "linear", "reg": 0}
 REGRESSOR = [
     ({"loss": "hinge"}, Y, r"loss is 'hinge'; CensoredSVR has squared, absolute, pinball"),
-    ({"censoring": "km"}, Y, r"censoring is 'km'; it is 'kaplan-meier', 'cox', 'kernel'"),
+    ({"censoring": "km"}, Y, r"censoring is 'km'; give 'kaplan-meier', 'cox', 'kernel'"),
     *(({"gamma": g}, Y, rf"gamma is {g}; a kernel's width .*'scale' or 'cv'") for g in (0, -1.0, np.nan, True, None)),
     ({"gamma": "banana"}, Y, r"gamma is 'banana'.*'scale' or 'cv'"),
-    *(({"reg": reg}, Y, rf"reg is {reg}; it is a λ ≥ 0, or 'cv'") for reg in (-1, np.nan, np.inf, True, None)),
-    ({"reg": 0}, Y, r"reg is 0, and with an intercept .*fit_intercept=False"),
+    *(({"reg": reg}, Y, rf"reg is {reg}; give a λ ≥ 0, or 'cv'") for reg in (-1, np.nan, np.inf, True, None)),
+    ({"reg": 0}, Y, r"reg is 0, so the solution with an intercept .*fit_intercept=False"),
     ({"reg": 0, "fit_intercept": False, "gamma": 1e-12}, Y, r"reg is 0 and the kernel matrix .* singular.*reg > 0"),
-    ({"loss": "pinball", "quantile": 0}, Y, r"quantile is 0; it lies in \(0, 1\)"),
-    *(({"tau": tau}, Y, rf"tau is {tau}; it is a time > 0 s") for tau in (0, -2.0, np.nan, np.inf)),
-    *(({"tol": tol}, Y, rf"tol is {tol}; it is a share") for tol in (0.0, np.nan)),
+    ({"loss": "pinball", "quantile": 0}, Y, r"quantile is 0; give a number in \(0, 1\)"),
+    *(({"tau": tau}, Y, rf"tau is {tau}; give a time > 0 s") for tau in (0, -2.0, np.nan, np.inf)),
+    *(({"tol": tol}, Y, rf"tol is {tol}; give a share") for tol in (0.0, np.nan)),
     ({"truncate_at": 0.5}, Y, r"truncate_at is 0.5; weights are at least 1"),
     ({"kernel": lambda x, z: np.ones((2, 2))}, Y, r"the kernel gives shape \(2, 2\)"),
     *(({"reg": "cv", "cv": cv}, Y, rf"cv is {cv}; cross-validation needs at least 2 folds") for cv in (0, 1)),
@@ -206,10 +206,10 @@ REGRESSOR = [
 ]
 CLASSIFIER = [
     ({}, Y, "y holds times and tau is None; give the tau"),
-    ({}, np.arange(80) % 3, "y has 3 classes; tell two apart"),
+    ({}, np.arange(80) % 3, "y has 3 classes; choose two"),
     ({}, np.ones(80), "only one class"),
-    ({"tau": 1e9}, Y, "only one class, .*True.*, was seen among 80 rows"),
-    ({"tau": 1e-9}, Y, "only one class, .*False.*, was seen"),
+    ({"tau": 1e9}, Y, "only one class, .*True.*, was observed among 80 rows"),
+    ({"tau": 1e-9}, Y, "only one class, .*False.*, was observed"),
     ({"tau": 100.0}, (TIME, np.zeros(80, dtype=bool)), "all 80 .* were cut before their target was seen"),
     ({"loss": "squared"}, LABELS, "loss is 'squared'; CensoredSVC has hinge, squared-hinge, logistic"),
     ({"cv": 1}, LABELS, "cv is 1"),
@@ -233,7 +233,7 @@ ROWS = [
     (SETS, {"kernel": "set", "censoring": "cox"}, "censoring uses covariates, and X holds sets"),
     (CONSTANT, {"censoring": "cox"}, "column 3: 3 in every row"),
     (TWICE, LINEAR, r"reg is 0 and the 5 columns of X, the intercept counted, have rank 4"),
-    (CONSTANT, LINEAR | {"loss": "absolute"}, "many functions fit alike; leave columns out, or give reg > 0"),
+    (CONSTANT, LINEAR | {"loss": "absolute"}, "the solution is not unique; leave columns out, or give reg > 0"),
 ]
 
 
@@ -248,7 +248,7 @@ def test_a_constant_covariate_is_no_trouble_elsewhere():
 
 
 INPUTS = [
-    (X, (but(TIME, 3, 0.0), IS_FINISHED), "time, row 3: 0.0 is no end of a trajectory"),
+    (X, (but(TIME, 3, 0.0), IS_FINISHED), "time, row 3: 0.0 is not the end of a trajectory"),
     (X, (but(TIME, 3, -1.0), IS_FINISHED), "time, row 3: -1.0"),
     (X, (but(TIME, 5, np.nan), IS_FINISHED), "time, row 5: nan"),
     (X, (but(TIME, 5, np.inf), IS_FINISHED), "time, row 5: inf"),
@@ -284,7 +284,7 @@ def test_one_row():
     assert model.predict(X)[5] == pytest.approx(TIME[0])
     assert "\n" not in str(caught[0].message)
     with pytest.warns(HalfseenWarning):
-        assert "1 sample was seen" in refusal(lambda: CensoredSVR().fit(X[:1], (TIME[:1], [True])))
+        assert "1 sample was observed" in refusal(lambda: CensoredSVR().fit(X[:1], (TIME[:1], [True])))
 
 
 def test_few_effective_rows_are_warned_of():

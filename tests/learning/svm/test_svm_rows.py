@@ -71,10 +71,10 @@ def test_target_is_the_function_of_the_time(target, values):
 @pytest.mark.parametrize(
     ("target", "says"),
     [
-        ("exp", "target is 'exp'; it is 'identity', 'log'"),
+        ("exp", "target is 'exp'; give 'identity', 'log'"),
         (lambda time: np.where(time > 1, np.nan, 0.0), r"y, row \d+: the target of .* is nan"),
         (lambda time: time[:3], r"target\(time\) has 3 rows for 80 times"),
-        (lambda time: "late", "not made of numbers"),
+        (lambda time: "late", "not numeric"),
         (lambda time: time[:, None], r"shape \(80, 1\)"),
     ],
 )
@@ -223,9 +223,9 @@ def test_splits_without_rows_that_were_seen(log):
     alone = CensoredSVR("squared", gamma=GAMMA, cv=telling).fit(rows, y)
     beside = CensoredSVR("squared", gamma=GAMMA, cv=[(seen, cut), *telling]).fit(rows, y)
     np.testing.assert_array_equal(beside.cv_losses_, alone.cv_losses_)
-    with pytest.raises(ArgumentError, match="cv: split 1 fits to no row that was seen"):
+    with pytest.raises(ArgumentError, match="cv: split 1 trains on no observed row"):
         CensoredSVR("squared", gamma=GAMMA, cv=[*telling, (cut, seen)]).fit(rows, y)
-    with pytest.raises(ArgumentError, match="cv: no split holds out a row that was seen"):
+    with pytest.raises(ArgumentError, match="cv: no split holds out an observed row"):
         CensoredSVR("squared", gamma=GAMMA, cv=[(seen, cut)]).fit(rows, y)
 
 

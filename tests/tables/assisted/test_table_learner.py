@@ -83,7 +83,7 @@ def test_it_learns_with_laws_unless_something_is_said_of_linear_q():
     assert type(CensoredQLearner.for_table(5, censoring="cox", random_state=3)) is TableLearner
     for given in ({"laws": None}, {"q_function": "linear"}, {"reg": 0.1}, {"pessimism": 0.0}, {"stages": "pooled"}):
         assert type(CensoredQLearner.for_table(5, **given)) is CensoredQLearner
-    with pytest.raises(ArgumentError, match="laws is 'mine'; it is 'auto', or None"):
+    with pytest.raises(ArgumentError, match="laws is 'mine'; give 'auto', or None"):
         CensoredQLearner.for_table(5, laws="mine")
 
 

@@ -88,7 +88,7 @@ def test_washing_shows_what_was_dirty(world):
 def test_the_laws_of_a_right_recorder_are_read_and_not_rejected(logs, world):
     laws = team_laws(logs, team_states(logs, 2 * HORIZON))
     config = laws.config
-    assert "read from the log’s own log-odds" in laws.sentence
+    assert "read from the log-odds of the log" in laws.sentence
     views = np.linspace(0.05, 1.0, 8)
     found, true = config.seeing.found_by(views), world.config.seeing.found_by(views)
     assert np.abs(np.asarray(found) - np.asarray(true)).max() < 0.05
@@ -98,7 +98,7 @@ def test_it_learns_with_laws_unless_something_is_said_of_linear_q():
     assert isinstance(CensoredQLearner.for_team(2), TeamLearner)
     for said in ({"laws": None}, {"reg": 0.1}, {"base": None}, {"pessimism": 0.0}):
         assert type(CensoredQLearner.for_team(2, **said)) is CensoredQLearner
-    with pytest.raises(ArgumentError, match="laws is 'some'; it is 'auto', or None"):
+    with pytest.raises(ArgumentError, match="laws is 'some'; give 'auto', or None"):
         CensoredQLearner.for_team(2, laws="some")
 
 

@@ -125,7 +125,7 @@ def test_a_log_by_hand():
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda s, p, o: (s, p, None), "objects: the log has none"),
+        (lambda s, p, o: (s, p, None), "objects: the log has no objects table"),
         (lambda s, p, o: (s, p, o.drop(columns="failures")), "there is no column 'failures' among"),
         (
             lambda s, p, o: (s, p, o.assign(successes=0)),
@@ -133,11 +133,11 @@ def test_a_log_by_hand():
         ),
         (
             lambda s, p, o: (s.assign(action=s["action"].where(s["trajectory"] == "a", "LIFT")), p, o),
-            "trajectory 'b', stage 1: LIFT of object 'jar': no later stage tells",
+            "trajectory 'b', stage 1: LIFT of object 'jar': no later stage shows",
         ),
         (
             lambda s, p, o: (s, p, o[~((o["stage"] == 2) & (o["object"] == "mug") & (o["trajectory"] == "a"))]),
-            "trajectory 'a', stage 1: LIFT of object 'mug': no later stage tells",
+            "trajectory 'a', stage 1: LIFT of object 'mug': no later stage shows",
         ),
     ],
 )

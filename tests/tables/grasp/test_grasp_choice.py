@@ -82,7 +82,7 @@ def test_a_beta_is_taken_where_it_halves_the_error_of_held_out_attempts_beyond_n
     rule, beta = by_hand(tried)
     lead = rule / 2 - beta
     chosen = choose_by(tried, HORIZON)
-    assert f"{beta.sum() / rule.sum():.0%} of its squared error" in chosen.sentence
+    assert f"{beta.sum() / rule.sum():.0%} of the squared error" in chosen.sentence
     assert (chosen.grasp is not None) == (lead.mean() > 2 * lead.std(ddof=1) / np.sqrt(len(lead))) == (slope == 0.0)
     if chosen.grasp is not None:
         model = BetaGrasp().fit(tried)
@@ -98,7 +98,7 @@ def test_where_the_rule_is_as_good_it_is_kept():
     kept = tried.assign(succeeded=succeeded.astype("boolean").mask(~tried["is_finished"]))
     chosen = choose_by(kept, HORIZON)
     assert chosen.grasp is None
-    assert "does not clearly halve its error" in chosen.sentence
+    assert "does not clearly halve the error" in chosen.sentence
 
 
 def test_few_attempts_decide_nothing():
@@ -122,7 +122,7 @@ def test_the_learner_chooses_by_itself_says_why_and_keeps_the_rule_where_the_log
     assert isinstance(learner.policy_.grasp, GraspTable) == (chosen.grasp is not None)
     silent = choose_grasp(Logs(logs.stages, logs.trajectories, logs.objects.assign(successes=0, failures=0)), HORIZON)
     assert silent.grasp is None
-    assert "mend the counts" in silent.sentence
+    assert "fix the counts" in silent.sentence
 
 
 class Even:

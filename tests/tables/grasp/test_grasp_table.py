@@ -148,7 +148,7 @@ def test_an_svm_serves_as_well(logs):
 
 @pytest.mark.parametrize("grasp", ["beta", BetaGrasp, 0.5])
 def test_what_is_no_grasp_model_is_refused(logs, grasp):
-    with pytest.raises(ArgumentError, match="it is None, BetaGrasp"):
+    with pytest.raises(ArgumentError, match="give None, BetaGrasp"):
         CensoredQLearner.for_table(grasp=grasp, laws=None).fit(logs)
 
 
@@ -272,8 +272,11 @@ def test_constant_features_are_no_trouble():
     [
         (beta_attempts(20).assign(succeeded=True), "all 80 decided attempts succeeded; an SVM needs both"),
         (beta_attempts(20).assign(succeeded=False), "all 80 decided attempts failed; an SVM needs both"),
-        (beta_attempts(20).assign(object=0), "failures were seen of one object alone"),
-        (beta_attempts(20).assign(succeeded=lambda f: f["object"] == 3), "successes were seen of one object alone"),
+        (beta_attempts(20).assign(object=0), "failures were seen for at most one object"),
+        (
+            beta_attempts(20).assign(succeeded=lambda f: f["object"] == 3),
+            "successes were seen for at most one object",
+        ),
         (beta_attempts(20).assign(occlusion=-0.1), "row 0: occlusion is -0.1"),
     ],
 )

@@ -56,7 +56,11 @@ def trials(logs: Logs, horizon: int) -> pd.DataFrame:
     for name in (name for name in FACTS if name.endswith("_m")):
         lengths_m = as_floats("objects", logs.objects, name).to_numpy()
         wrong = ~(np.abs(lengths_m) <= LARGEST_M)
-        refuse(logs.objects, wrong, lambda row, m=lengths_m, n=name: f"{n} is {m[row]:g}, no length on a table")
+        refuse(
+            logs.objects,
+            wrong,
+            lambda row, m=lengths_m, n=name: f"{n} is {m[row]:g}, not a length on a table; give metres",
+        )
     acted_on = pd.DataFrame(logs.stages[_AT])
     seen = acted_on.merge(logs.objects[[*_AT, *FACTS]], on=_AT)
     after = acted_on.assign(stage=acted_on["stage"] + 1).merge(logs.objects[[*_AT, "attempt_s"]], on=_AT)

@@ -23,7 +23,7 @@ from halfseen.shapes import Float, Int
 from halfseen.tables.grasp_attempts import checked_attempts
 from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
 
-HELD_TITLE = "How often attempts held, and what the law that was fitted to them says"
+HELD_TITLE = "How often attempts held, and what the fitted law predicts"
 PARTS = 3  # number of quantile groups by width and by room
 _HELD_APART = 0.12
 Panels = Mapping[str, Mapping[str, Share]]  # shares by grouping variable, then by group name
@@ -92,7 +92,7 @@ def _draw_panel(axes: Axes, by: str, shares: Mapping[str, Share]) -> None:
         color=RED,
         marker="D",
         linestyle="none",
-        label="what the law says, given past attempts",
+        label="predicted by the law, given past attempts",
     )
     names = [f"{name}\n{each.num_attempts:,}" for name, each in shares.items()]
     axes.set_xticks(across, names, fontsize=8.0)
@@ -109,11 +109,11 @@ def _parts(values: Rows) -> tuple[Int[np.ndarray, " n"], list[str]]:
     return np.searchsorted(edges[1:-1], values, side="right").astype(np.int64), names or [f"{edges[0]:.1f}"]
 
 
-LABELS_TITLE = "What labels say by how much of an object has been in view"
+LABELS_TITLE = "How labels depend on how much of an object has been in view"
 _LABELS_APART = 0.004
 LINES = {
-    True: ("sensitivity", "dirty objects that were found", BLUE, "o", 1),
-    False: ("false_alarms", "clean objects that were taken for dirty", RED, "s", -1),
+    True: ("sensitivity", "dirty objects labelled dirty", BLUE, "o", 1),
+    False: ("false_alarms", "clean objects labelled dirty", RED, "s", -1),
 }
 """For dirty and for clean objects: attribute of the curve, its name, colour and marker, and side of the offset."""
 
@@ -185,7 +185,8 @@ def draw_labels(seeing: PersistentSeeing, glances: pd.DataFrame) -> Figure:
     draw_grid(axes)
     axes.legend(loc="upper left", frameon=False)
     axes.set_xlabel(
-        "share of its surface that was in view; marks: told/seen at the first label, and when held, 95 % intervals"
+        "share of its surface that was in view; marks: labelled dirty/seen, at the first label and when held, "
+        "95 % intervals"
     )
     return figure
 

@@ -120,7 +120,7 @@ def fit_grasping(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> Grasp
     np.add.at(by_table, of_object, scores)
     covariance = bread @ (by_table.T @ by_table) @ bread
     if not (np.isfinite(estimate).all() and np.isfinite(covariance).all()):
-        raise LogError("no finite numbers fit these attempts; look for facts of objects that are out of all proportion")
+        raise LogError("the fit to these attempts is not finite; look for implausibly large values in the objects")
     num_cut = len(trials) - len(clusters)
     return GraspFit(estimate, covariance, len(clusters), num_cut, decided.diagnostics.effective_sample_size)
 
@@ -287,7 +287,7 @@ def fit_seeing(glances: pd.DataFrame) -> PersistentSeeing:
         if rows.empty:
             kind = "dirty" if is_dirty else "clean"
             raise LogError(
-                f"objects: none of {len(glances)} is {kind}; labels are calibrated on dirty and on clean ones"
+                f"objects: none of {len(glances)} is {kind}; calibrating labels needs both dirty and clean objects"
             )
         curves.append(tuple(found_by(intervals(rows)).tolist()))
     return PersistentSeeing(FACING_SHARE, VIEWS, curves[0], curves[1])

@@ -243,7 +243,9 @@ def read_law(folder: str | Path) -> StoredLaw:
     try:
         law = _law(safetensors.numpy.load(numbers), record)
     except (KeyError, ValueError, TypeError, SafetensorError) as error:
-        raise PolicyError(f"{Path(folder) / LAW.arrays}: no numbers of a law ({error}); {_AGAIN}") from error
+        raise PolicyError(
+            f"{Path(folder) / LAW.arrays}: does not hold the numbers of a law ({error}); {_AGAIN}"
+        ) from error
     return StoredLaw(law, record)
 
 
@@ -251,18 +253,20 @@ def _record(text: bytes, file: Path) -> Mapping[str, Any]:
     try:
         record = json_of(text)
     except ValueError as error:
-        raise PolicyError(f"{file}: it cannot be read ({error}); {_AGAIN}") from error
+        raise PolicyError(f"{file}: cannot be read ({error}); {_AGAIN}") from error
     if not isinstance(record, dict) or record.get("version") != VERSION:
         version = record.get("version") if isinstance(record, dict) else record
-        raise PolicyError(f"{file}: version {version!r} is not {VERSION}, which is read here; {_AGAIN}")
+        raise PolicyError(
+            f"{file}: version {version!r} is not {VERSION}, the version that this halfseen reads; {_AGAIN}"
+        )
     if record.get("parameters") != list(NAMES):
         raise PolicyError(
-            f"{file}: the law tells grasps by {record.get('parameters')}, and objects here are known by {list(NAMES)}: "
-            f"it is of other objects; {_AGAIN}"
+            f"{file}: the parameters of the law are {record.get('parameters')}, not {list(NAMES)}: it describes "
+            f"other objects; {_AGAIN}"
         )
     for name in ("num_decided", "num_cut"):
         if not isinstance(record.get(name), int):
-            raise PolicyError(f"{file}: {name} is {record.get(name)!r}, no count of attempts; {_AGAIN}")
+            raise PolicyError(f"{file}: {name} is {record.get(name)!r}, not a count of attempts; {_AGAIN}")
     return record
 
 
@@ -273,7 +277,7 @@ def _law(arrays: Mapping[str, np.ndarray], record: Mapping[str, Any]) -> Law:
         raise ValueError("a number is not finite")
     (size,), (limit_s,), (facing,) = (arrays[name].tolist() for name in ("effective_sample_size", "limit_s", "facing"))
     if limit_s <= 0:
-        raise ValueError(f"limit_s is {limit_s}, and a time is above 0")
+        raise ValueError(f"limit_s is {limit_s}; it must be above 0")
     fit = GraspFit(arrays["estimate"], arrays["covariance"], record["num_decided"], record["num_cut"], size)
     seeing = PersistentSeeing(facing, *(tuple(arrays[name].tolist()) for name in ("views", *_CURVES)))
     return Law(fit, TimeFit(*arrays["time"].tolist()), seeing, limit_s, arrays["grips"])

@@ -178,7 +178,7 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
         left, most = (weights[seen] @ loss.value(values[seen], s[seen]) for s in (f, np.full(len(f), constant)))
         if most <= 0.0:
             raise ArgumentError(
-                f"score has {int(seen.sum())} rows to look at, whose targets a constant fits; give more rows"
+                f"score has {int(seen.sum())} observed rows, whose targets a constant fits exactly; give more rows"
             )
         return float(1.0 - left / most)
 
@@ -231,9 +231,7 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
 
     Notes
     -----
-    scikit-learn requires that a row of weight 2 is equivalent to two copies of the row. That holds without folds where
-    Ĝ is not fitted, as Ĝ counts each row once. With ``reg="cv"``, ``gamma="cv"`` or ``calibrate=True`` rows are
-    assigned to folds one by one, so two copies may be in different folds.
+    A row of weight 2 is two copies of the row as for `CensoredSVR`, if ``calibrate=False``, too.
 
     For a classifier, ``cross_val_score(…, cv=5)`` and searches of scikit-learn stratify by y, which fails where y holds
     times; give them ``cv=KFold(5)``.
@@ -317,7 +315,7 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
     def _ends(self, y: Any) -> Ends | None:
         ends = as_ends(y)
         if ends is not None and self.tau is None:
-            raise ArgumentError("y holds times and tau is None; give the tau that tells early from late, or labels")
+            raise ArgumentError("y holds times and tau is None; give the tau that separates early from late, or labels")
         if ends is None and self.tau is not None:
             times = column_or_1d(y, dtype=np.float64)
             return Ends(times, np.ones(len(times), dtype=bool))
@@ -337,8 +335,8 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         self.classes_ = np.unique(labels) if ends is None else np.array([False, True])
         if len(self.classes_) > 2:
             raise ArgumentError(
-                f"Only binary classification is supported: y has {len(self.classes_)} classes; tell two apart, or use "
-                "sklearn.multiclass.OneVsRestClassifier"
+                f"Only binary classification is supported: y has {len(self.classes_)} classes; choose two, or "
+                "use sklearn.multiclass.OneVsRestClassifier"
             )
         if len(self.classes_) < 2:
             raise ArgumentError(f"y holds only one class, {self.classes_[0]!r}; give labels of two classes")
@@ -349,6 +347,6 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         seen = targets[self.weights_ > 0]
         if len(np.unique(seen)) < 2:
             raise ArgumentError(
-                f"only one class, {self.classes_[int(seen[0] > 0)]!r}, was seen among {len(targets)} rows; both are "
-                "needed to tell them apart"
+                f"only one class, {self.classes_[int(seen[0] > 0)]!r}, was observed among {len(targets)} rows; "
+                "both classes are needed"
             )

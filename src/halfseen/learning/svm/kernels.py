@@ -72,16 +72,14 @@ class VectorKernel:
                 "'set' or a SetKernel"
             )
         if self.name != "linear" and not 0.0 < self.gamma < np.inf:
-            raise ArgumentError(
-                f"gamma is {self.gamma}, which is no width of a kernel; give a finite number > 0, such as 'scale'"
-            )
+            raise ArgumentError(f"gamma is {self.gamma}, not a kernel width; give a finite number > 0, such as 'scale'")
         if self.name == "polynomial" and not (self.degree >= 1 and self.degree % 1 == 0):
             raise ArgumentError(
-                f"degree is {self.degree}: such a power is no positive semidefinite kernel; give a whole number ≥ 1"
+                f"degree is {self.degree}: such a power is not a positive semidefinite kernel; give a whole number ≥ 1"
             )
         if self.name == "polynomial" and not 0.0 <= self.coef0 < np.inf:
             raise ArgumentError(
-                f"coef0 is {self.coef0}: the polynomial is no positive semidefinite kernel; give a finite number ≥ 0"
+                f"coef0 is {self.coef0}: the polynomial is not a positive semidefinite kernel; give a finite number ≥ 0"
             )
 
     def __call__(self, first: Float[np.ndarray, "n F"], second: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "n m"]:
@@ -247,7 +245,7 @@ class SetKernel:
         (objects, pool), (others, other_pool) = (self._pooled(as_sets(sets)) for sets in (first, second))
         if objects.shape[1] != others.shape[1] and len(objects) and len(others):
             raise ArgumentError(
-                f"objects have {objects.shape[1]} and {others.shape[1]} features; give sets of the same"
+                f"objects have {objects.shape[1]} and {others.shape[1]} features; give sets with the same features"
             )
         gram = np.zeros((len(first), len(second)))
         if len(others):
@@ -303,7 +301,7 @@ def _as_objects(value: Any, row: int) -> Float[np.ndarray, "objects F"]:
     try:
         objects = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ArgumentError(f"set in row {row} is not made of numbers ({error}); give an array of floats") from error
+        raise ArgumentError(f"set in row {row} is not numeric ({error}); give an array of floats") from error
     if objects.size == 0 and objects.ndim < 2:
         return np.empty((0, 0))
     if objects.ndim != 2:
@@ -313,7 +311,7 @@ def _as_objects(value: Any, row: int) -> Float[np.ndarray, "objects F"]:
     if not np.isfinite(objects).all():
         which, feature = np.argwhere(~np.isfinite(objects))[0]
         raise ArgumentError(
-            f"set in row {row}, object {which}, feature {feature}: {objects[which, feature]} is no finite number; "
-            "fill it in or leave the object out"
+            f"set in row {row}, object {which}, feature {feature}: {objects[which, feature]} is not a finite "
+            "number; fill it in or leave the object out"
         )
     return objects

@@ -142,11 +142,11 @@ def _within(values: Rows, t: Rows, low: Rows | float, high: Rows | float) -> Row
 def named_loss(name: str, *, epsilon: float | int = 0.1, quantile: float | int = 0.5, delta: float | int = 1.0) -> Loss:
     """The loss of this name."""
     if name == "pinball" and not 0.0 < quantile < 1.0:
-        raise ArgumentError(f"quantile is {quantile}; it lies in (0, 1), and 0.5 is the median")
+        raise ArgumentError(f"quantile is {quantile}; give a number in (0, 1); 0.5 is the median")
     if name == "epsilon-insensitive" and not 0.0 <= epsilon < np.inf:
-        raise ArgumentError(f"epsilon is {epsilon}; it is a distance ≥ 0 in the target's units")
+        raise ArgumentError(f"epsilon is {epsilon}; give a distance ≥ 0 in the target's units")
     if name == "huber" and not 0.0 < delta < np.inf:
-        raise ArgumentError(f"delta is {delta}; it is a distance > 0 in the target's units")
+        raise ArgumentError(f"delta is {delta}; give a distance > 0 in the target's units")
     losses = {
         "squared": PiecewiseLoss(np.inf, np.inf, softness=0.5),
         "absolute": PiecewiseLoss(),
@@ -158,7 +158,7 @@ def named_loss(name: str, *, epsilon: float | int = 0.1, quantile: float | int =
         "logistic": Logistic(),
     }
     if name not in losses:
-        raise ArgumentError(f"there is no loss {name!r}; there are {', '.join(losses)}, or give a loss of your own")
+        raise ArgumentError(f"unknown loss {name!r}; give one of {', '.join(losses)}, or a loss of your own")
     return losses[name]
 
 
@@ -230,8 +230,8 @@ def own_loss(own: Any, y: Rows) -> Loss:
     if len(wrong):
         k, row = wrong[0]
         raise ArgumentError(
-            f"loss is {own!r}, which bends down at y = {y[row]:g}, s = {y[row] + shifts[k + 1]:g}; give one that is "
-            "convex in s"
+            f"loss is {own!r}, which is not convex at y = {y[row]:g}, s = {y[row] + shifts[k + 1]:g}; give one "
+            "that is convex in s"
         )
     return OwnLoss(own)
 

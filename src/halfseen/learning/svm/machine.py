@@ -76,20 +76,20 @@ class CensoredSVM(BaseEstimator):
 
     def _check_parameters(self) -> None:
         if self.reg != "cv" and not (_is_number(self.reg) and 0 <= self.reg < np.inf):
-            raise ArgumentError(f"reg is {self.reg!r}; it is a λ ≥ 0, or 'cv'")
+            raise ArgumentError(f"reg is {self.reg!r}; give a λ ≥ 0, or 'cv'")
         if self.gamma not in ("scale", "cv") and not (_is_number(self.gamma) and 0 < self.gamma < np.inf):
             raise ArgumentError(
                 f"gamma is {self.gamma!r}; a kernel's width is 1/√gamma, so give a number > 0, 'scale' or 'cv'"
             )
         if self.reg == 0 and self.fit_intercept and self.kernel != "linear" and self.num_landmarks is None:
             raise ArgumentError(
-                "reg is 0, and with an intercept the kernel matrix determines no single function; give reg > 0, for "
-                "example 1e-6, or fit_intercept=False"
+                "reg is 0, so the solution with an intercept is not unique; give reg > 0, for example 1e-6, or "
+                "fit_intercept=False"
             )
         if self.tau is not None and not 0.0 < self.tau < np.inf:
-            raise ArgumentError(f"tau is {self.tau}; it is a time > 0 s, or None for times that are not restricted")
+            raise ArgumentError(f"tau is {self.tau}; give a time > 0 s, or None for times that are not restricted")
         if not 0 < self.tol < 1:
-            raise ArgumentError(f"tol is {self.tol}; it is a share of the objective, in (0, 1)")
+            raise ArgumentError(f"tol is {self.tol}; give a share of the objective, in (0, 1)")
 
     def _checked_rows(self, X: Any, is_fit: bool) -> np.ndarray:
         if self.kernel == "set" or isinstance(self.kernel, SetKernel):
@@ -101,7 +101,7 @@ class CensoredSVM(BaseEstimator):
         if len(wrong):
             row, column = wrong[0]
             value = "NaN" if np.isnan(rows[row, column]) else "infinity (inf)"
-            raise ArgumentError(f"X, row {row}, column {column} is {value}; fill it in or leave the row out knowingly")
+            raise ArgumentError(f"X, row {row}, column {column} is {value}; fill it in or leave the row out")
         return rows
 
     def _ends(self, y: Any) -> Ends | None:
@@ -231,8 +231,8 @@ class CensoredSVM(BaseEstimator):
             low_rank = Nystrom(kernel, kept, inverse_root(gram))
             if low_rank.projection.shape[1] < len(kept):
                 raise ArgumentError(
-                    f"reg is 0 and the kernel matrix of {len(kept)} rows is singular, so that many functions fit "
-                    "alike; give reg > 0, for example 1e-6"
+                    f"reg is 0 and the kernel matrix of {len(kept)} rows is singular, so the solution is not "
+                    "unique; give reg > 0, for example 1e-6"
                 )
         return Features(low_rank.transform(kept)), low_rank.function
 
@@ -270,8 +270,9 @@ def _refuse_dependent(rows: Float[np.ndarray, "n F"], has_offset: bool) -> None:
     rank = int(np.linalg.matrix_rank(columns / np.where(lengths > 0.0, lengths, 1.0)))
     if rank < columns.shape[1]:
         raise ArgumentError(
-            f"reg is 0 and the {columns.shape[1]} columns of X{', the intercept counted,' if has_offset else ''} have "
-            f"rank {rank}, so that many functions fit alike; leave columns out, or give reg > 0, for example 1e-6"
+            f"reg is 0 and the {columns.shape[1]} columns of "
+            f"X{', the intercept counted,' if has_offset else ''} have rank {rank}, so the solution is not "
+            "unique; leave columns out, or give reg > 0, for example 1e-6"
         )
 
 

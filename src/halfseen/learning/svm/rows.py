@@ -94,13 +94,13 @@ def target_values(time: Rows, target: str | Callable[[Rows], Any]) -> Rows:
     elif target == "log":
         values = np.log(np.where(time > 0, time, np.nan))
     else:
-        raise ArgumentError(f"target is {target!r}; it is 'identity', 'log' or a function of the times")
+        raise ArgumentError(f"target is {target!r}; give 'identity', 'log' or a function of the times")
     wrong = ~np.isfinite(values)
     if wrong.any():
         row = int(np.argmax(wrong))
         raise ArgumentError(
-            f"y, row {row}: the target of {time[row]} is {values[row]}; give a target that is finite there, or mend "
-            "the row"
+            f"y, row {row}: the target of {time[row]} is {values[row]}; give a target that is finite there, or "
+            "fix the row"
         )
     return values
 
@@ -195,18 +195,18 @@ def folds_of_seen(cv: Any, seen: RowIds, num_rows: int, random_state: Any, class
         for place, (fitted, _) in enumerate(splits):
             if len(fitted) == 0:
                 raise ArgumentError(
-                    f"cv: split {place} fits to no row that was seen; give each split rows that were not cut"
+                    f"cv: split {place} trains on no observed row; give each split rows that were not cut"
                 )
         telling = [(fitted, held) for fitted, held in splits if len(held)]
         if not telling:
-            raise ArgumentError("cv: no split holds out a row that was seen; hold out rows that were not cut")
+            raise ArgumentError("cv: no split holds out an observed row; hold out rows that were not cut")
         return telling
     if cv < 2:
         raise ArgumentError(f"cv is {cv}; cross-validation needs at least 2 folds")
     if len(seen) < 2:
         raise ArgumentError(
-            f"rows are to be held out, and {len(seen)} sample was seen (n_samples = {len(seen)}); give numbers for reg "
-            "and gamma, or more rows"
+            f"cross-validation holds out rows, but {len(seen)} sample was observed (n_samples = {len(seen)}); "
+            "give numbers for reg and gamma, or more rows"
         )
     seed = int(np.random.default_rng(random_state).integers(2**31))
     rarest = 0 if classes is None else int(np.unique(classes, return_counts=True)[1].min())

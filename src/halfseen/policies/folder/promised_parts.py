@@ -23,7 +23,7 @@ NUM_KNOTS = 21
 """Largest number of knots of a distribution function."""
 RIDGE = 1.0
 """Ridge penalty on standardised covariates, whose sums of squares are the number of states."""
-MOST_STATES = 200
+MOST_STATES = 400
 """Largest number of first states that are kept."""
 STATES_PER_TERM = 10
 FEWEST = 10

@@ -52,7 +52,7 @@ PARAMETER_NAMES = {
 
 def section_of(design: names.AttemptsRepetition, setting: Setting, tables: Tables) -> Section:
     """Report the findings from attempts, or that there are none."""
-    heading = "Physical attempts: a Beta mean or an SVM, and what occlusion does"
+    heading = "Physical attempts: a Beta mean or an SVM, and the effect of occlusion"
     if not tables:
         return Section(heading, (words("attempts", "nothing"),), (), (), num_leading=0)
     scores = tables["attempts_scores"]
@@ -106,7 +106,7 @@ def _law(law: pd.DataFrame) -> Listing:
         "p": lambda row: p_value(row["p_value"]),
     }
     return Listing.of(
-        "What moves success", caption, records(law), cells, lambda row: capitalised(PLANNED[row["planner"]])
+        "What affects success", caption, records(law), cells, lambda row: capitalised(PLANNED[row["planner"]])
     )
 
 
@@ -199,7 +199,7 @@ def calibrated(tables: Tables) -> str:
     rows = records(tables["attempts_calibration"], model=LAW, by="occlusion")
     full = [row for row in rows if row["share_of_attempts"] >= SHARE_OF_A_BIN]
     if not full:
-        return "No bin of occlusion holds a tenth of the attempts, so nothing is said of calibration there."
+        return "No bin of occlusion holds a tenth of the attempts, so calibration is not assessed."
     widest = max((row["high"] - row["low"]) / 2.0 for row in full)
     off = max((row["difference"] for row in full), key=abs)
     away = [f"{row['bin_from']:g} to {row['bin_to']:g}" for row in full if row["low"] > 0 or row["high"] < 0]
@@ -239,7 +239,7 @@ def _draw_calibration(axes: Axes, calibration: pd.DataFrame, models: Sequence[st
     ends = zip(bins["bin_from"], bins["bin_to"], bins["share_of_attempts"], strict=True)
     axes.set_xticks(range(len(places)), [f"{low:g}–{high:g}\n{percent(share)}" for low, high, share in ends])
     pages.draw_grid(axes)
-    across = "hidden share of the object, and how many of the attempts"
+    across = "hidden share of the object, and share of the attempts"
     figures.name_panel(axes, f"share that held − predicted, at unseen tables; grey: ±{WIDTH_WANTED:g}", across)
 
 
@@ -259,5 +259,5 @@ def _draw_success(axes: Axes, tables: Tables) -> None:
     pages.draw_grid(axes)
     axes.legend(loc="lower left", frameon=False, fontsize=8.5)
     axes.set_xlim(-0.02, 0.84)
-    words = "share of attempts that held: and by the law (lines)"
+    words = "share of attempts that held; lines: by the law"
     figures.name_panel(axes, words, "hidden share of the object")

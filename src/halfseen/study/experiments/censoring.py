@@ -38,9 +38,9 @@ RIVALS = {
 TREATMENT_COLOURS = {"imputed": BLUE, "weighted": SKY, "unweighted": ORANGE, "dropped": RED, "failures": PINK}
 LOOKS = figures.looks(TREATMENT_COLOURS, TREATMENT_NAMES)
 CUT_KIND_NOTES = {
-    "independent": "they fall whatever happens on the table",
+    "independent": "cuts that do not depend on the table",
     "occlusion": "cuts whose hazard grows with occlusion",
-    "attempt": "cuts whose hazard grows while an attempt drags on",
+    "attempt": "cuts whose hazard grows with the length of an attempt",
 }
 BEHIND = ("behind_default", "se_behind", "behind_low", "behind_high")
 GAIN = ["behind_default", "behind_low", "behind_high"]
@@ -65,7 +65,7 @@ class Censoring:
     def __post_init__(self) -> None:
         if self.compared_num_trajectories not in self.num_trajectories:
             raise ArgumentError(
-                f"compared_num_trajectories is {self.compared_num_trajectories}; it is one of num_trajectories, "
+                f"compared_num_trajectories is {self.compared_num_trajectories}; give one of num_trajectories, "
                 f"{self.num_trajectories}"
             )
 
@@ -114,7 +114,7 @@ class Censoring:
         others = figure4[figure4["treatment"] != DEFAULT]
         caption = words(self.name, "caption", design=self, others=others)
         drawing = Drawing("figure4", "Figure 4", _title(self, claims), caption, partial(_draw, self, figure4))
-        return Section("What becomes of cut trajectories", (_sentence(self, claims),), (drawing,), (_numbers(figure4),))
+        return Section("Treatments of cut trajectories", (_sentence(self, claims),), (drawing,), (_numbers(figure4),))
 
 
 Claims = dict[CutKind, list[Claim]]
@@ -139,7 +139,7 @@ def _title(design: Censoring, claims: Claims) -> str:
         said = [f"{verb} {listed(rivals[verdict])}" for verdict, verb in verbs.items() if rivals[verdict]]
         kinds.setdefault(" but ".join(said) or "makes no significant difference", []).append(CUT_KIND_NAMES[kind])
     parts = (f"{said} under {listed(names)}" for said, names in kinds.items())
-    return f"From {design.compared_num_trajectories} trajectories, imputing what was cut {'; it '.join(parts)}"
+    return f"From {design.compared_num_trajectories} trajectories, imputing cut stages {'; it '.join(parts)}"
 
 
 def _sentence(design: Censoring, claims: Claims) -> str:
@@ -149,7 +149,7 @@ def _sentence(design: Censoring, claims: Claims) -> str:
         said = (f"than {each.rival}: {each.verdict} ({gain})" for each, gain in zip(of_kind, gains, strict=True))
         parts.append(f"under {CUT_KIND_NAMES[kind]}, {'; '.join(said)}")
     learned = learned_from(design.compared_num_trajectories, design.cut_share)
-    start = f"By linear eq. 3 without laws, a policy {learned} earns more by imputing what was cut"
+    start = f"By linear eq. 3 without laws, a policy {learned} earns more by imputing cut stages"
     return f"{start} – {'; and '.join(parts)} (paired differences with 95 % intervals, not adjusted)."
 
 

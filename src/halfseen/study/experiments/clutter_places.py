@@ -77,7 +77,7 @@ def label_number(world: WorldConfig) -> LawNumber:
         if hasattr(world.seeing, name):
             return name
     raise ArgumentError(
-        f"the map varies how good labels are, and {type(world.seeing).__name__} has none of "
+        f"the map varies how good labels are, but {type(world.seeing).__name__} has none of "
         f"{', '.join(get_args(LawNumber))}; give a world with AssumedSeeing or PersistentSeeing"
     )
 
@@ -124,7 +124,7 @@ class ClutterDesign:
         for clutter in product(self.num_objects, self.occlusions):
             check_clutter(*clutter)
         if not 0.0 < self.cut_share < 1.0:
-            raise ArgumentError(f"cut_share of the map is {self.cut_share}; it lies between 0 and 1")
+            raise ArgumentError(f"cut_share of the map is {self.cut_share}; give a share between 0 and 1")
 
     def places(self, setting: Setting) -> list[Place]:
         """All places: every clutter in the world and in each of its variations; and under the assumed laws."""

@@ -249,7 +249,7 @@ def _title(tests: pd.DataFrame) -> str:
     return (
         f"{start}, from logs of every size"
         if len(won) == len(rows)
-        else f"{start} from {listed(won)} trajectories alone"
+        else f"{start} only from {listed(won)} trajectories"
     )
 
 

@@ -26,7 +26,7 @@ CLAIM_WORDS = {"reward": "the learned policy earns more", "robot_s": "the learne
 ROLES = {BEST[0]: "the strongest heuristic", BEST[1]: "the strongest planner, which knows the true model"}
 MARK = " *"  # marks a significant difference
 GAIN = three("gain")
-GAIN_AXIS = "the same above what the strongest heuristic earns, which knows the true laws, on the same episodes"
+GAIN_AXIS = "gain over the strongest heuristic, which knows the true laws, on the same episodes"
 DODGE = 1.02  # factor between neighbouring curves, which are drawn side by side to avoid overlap
 PLAIN = ("greedy", "history")  # rules of thumb that ignore the cost of a wrong WASH
 
@@ -207,7 +207,7 @@ def _numbers(design: Reward, setting: Setting, figure1: pd.DataFrame, peer: pd.D
 
     return [
         _by_size(design, in_figure1, "", {"": where(figure1, policy=LEARNED.name)}, own),
-        _by_size(design, "What is made of logs, above the strongest heuristic", of_made, above, gain),
+        _by_size(design, "Learned from logs, above the strongest heuristic", of_made, above, gain),
         _by_size(design, peer_label, of_peer, {"": peer}, marked, more),
     ]
 

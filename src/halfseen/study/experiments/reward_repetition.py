@@ -80,7 +80,7 @@ class RewardRepetition:
         for name, among in (("table_num_trajectories", "num_trajectories"), ("table_cut_share", "cut_shares")):
             value, values = getattr(self, name), getattr(self, among)
             if value not in values:
-                raise ArgumentError(f"{name} is {value}; it is one of {among}, {values}")
+                raise ArgumentError(f"{name} is {value}; give one of {among}, {values}")
 
     @property
     def contenders(self) -> dict[str, Contender]:
