@@ -231,10 +231,8 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
 
     Notes
     -----
-    A row of weight 2 is two copies of the row as for `CensoredSVR`, if ``calibrate=False``, too.
-
-    For a classifier, ``cross_val_score(…, cv=5)`` and searches of scikit-learn stratify by y, which fails where y holds
-    times; give them ``cv=KFold(5)``.
+    A row of weight 2 is two copies of the row where it is for `CensoredSVR`, and ``calibrate=False``. scikit-learn's
+    ``cross_val_score(…, cv=5)`` and searches stratify by y, which fails for times; give them ``cv=KFold(5)``.
 
     Examples
     --------
