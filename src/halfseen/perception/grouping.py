@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from halfseen.arrays import Points
 from halfseen.perception.clouds import Vector
-from halfseen.perception.objects import Labels, pixels_of
+from halfseen.perception.objects import HIGHEST_OBJECT_M, LEFT_OUT, NO_OBJECT, Labels, pixels_of
 from halfseen.perception.occlusion import covered, middle_depth_m
 from halfseen.perception.plane import Plane
 from halfseen.perception.range_image import PixelMask, Pixels, RangeImage
@@ -104,18 +104,18 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
     Parameters
     ----------
     sheets
-        Sheet of each pixel; −1 where there is none.
+        Sheet of each pixel, `NO_OBJECT` or `LEFT_OUT`.
     plane, image
         The table and the range image.
 
     Returns
     -------
     labels
-        Object of each pixel, largest first; −1 where there is none.
+        Object of each pixel, largest first; `NO_OBJECT` where there is none, `LEFT_OUT` where it is left out.
     solids
         Completed shape of each object.
     num_cut
-        Objects left out because the border of the image cuts them.
+        Number of objects that are cut; longer things that reach into the image, such as arms and walls, do not count.
 
     Raises
     ------
@@ -128,17 +128,18 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
     sheets, pieces = _pieces(sheets, plane, image)
     pieces = _merged(pieces, sheets, plane, image)
     of_sheet = pixels_of(sheets)
-    kept, num_cut = [], 0
+    kept, num_cut, table = [], 0, np.full(int(sheets.max()) + 3, NO_OBJECT)
+    table[LEFT_OUT] = LEFT_OUT
     for piece in pieces:
         pixels = np.sort(np.concatenate([of_sheet[sheet] for sheet in piece.sheets]))
         if not _is_object(pixels, piece, image):
             continue
         if _is_cut(pixels, sheets.shape):
-            num_cut += 1
+            table[list(piece.sheets)] = LEFT_OUT
+            num_cut += bool(np.ptp(piece.points_m, axis=0).max() < HIGHEST_OBJECT_M)
         else:
             kept.append((len(pixels), piece))
     kept.sort(key=lambda pair: -pair[0])
-    table = np.full(int(sheets.max()) + 2, -1)
     for index, (_, piece) in enumerate(kept):
         table[list(piece.sheets)] = index
     return table[sheets], tuple(piece.solid for _, piece in kept), num_cut
@@ -330,7 +331,7 @@ def _contradiction(vessel: Vessel, own: PixelMask, sheets: Labels, plane: Plane,
     asked = asked[~own.ravel()[asked]]
     points_m = image.points_m.reshape(-1, 3)[asked]
     is_farther = points_m[:, 2] > middle_depth_m(vessel, plane, image, asked)
-    is_room = ~is_farther & np.isfinite(points_m[:, 2]) & (sheets.ravel()[asked] < 0)
+    is_room = ~is_farther & np.isfinite(points_m[:, 2]) & (sheets.ravel()[asked] == NO_OBJECT)
     is_room[is_room] = np.abs(vessel.outside_m(plane.table_points(points_m[is_room]))) > AT_WALL_M
     return float((is_farther | is_room).sum() / max(1, len(asked) + own.sum()))
 
