@@ -4,12 +4,14 @@ from functools import partial
 
 import numpy as np
 import pytest
+from scipy.optimize import linear_sum_assignment
 
-from drawn_tables import TABLE_HALF_M, Can, draw
+from drawn_tables import TABLE_HALF_M, Can, camera_point, draw
 from halfseen.errors import CloudError
 from halfseen.perception import Cloud, View, perceive, read_cloud
 from halfseen.perception.picture import sentence
 from halfseen.perception.tracking import matched
+from halfseen.perception.vessel_fits import divided
 from halfseen.perception.view import hidden_by_others
 from halfseen.scene import table_paths
 
@@ -72,6 +74,46 @@ def test_points_in_axes_of_other_programs_show_the_same(axes):
         seen = perceive(Cloud(drawn.cloud.points_m @ axes, shape))
         match = matched(centroids(view) @ axes, centroids(seen), 0.005)
         assert sorted(match.now.tolist()) == [0, 1]
+
+
+def front(radius_m, height_m, x_m, y_m, rng, num=900):
+    """Points of the half of a standing cylinder's wall that faces the camera, with noise."""
+    way, height = rng.uniform(np.pi, 2 * np.pi, num), rng.uniform(0.01, height_m, num)
+    across = radius_m + rng.normal(0.0, 0.001, num)
+    return np.stack([x_m + across * np.cos(way), y_m + across * np.sin(way), height], axis=1)
+
+
+@pytest.mark.parametrize("num", [2, 3, 4, 5])
+@pytest.mark.parametrize("seed", range(3))
+def test_cups_that_touch_are_divided_each_point_to_its_own(num, seed):
+    rng = np.random.default_rng(seed)
+    x_m = np.cumsum(rng.uniform(0.07, 0.08, num))
+    y_m = 0.03 * (np.arange(num) % 2)
+    cups = [front(rng.uniform(0.034, 0.036), rng.uniform(0.08, 0.13), *at, rng) for at in zip(x_m, y_m, strict=True)]
+    owner = np.repeat(np.arange(num), 900)
+    order = rng.permutation(len(owner))
+    found = divided(np.concatenate(cups)[order])
+    assert found is not None
+    pairs = np.zeros((num, num))
+    np.add.at(pairs, (owner[order], found), 1)
+    assert pairs[linear_sum_assignment(-pairs)].sum() > 0.98 * len(owner)
+
+
+@pytest.mark.parametrize("shape_m", [(0.2, 0.1, 0.12), (0.15, 0.15, 0.06), (0.12, 0.05, 0.16)])
+def test_the_faces_of_a_box_are_not_divided(shape_m):
+    rng, (width, _, height) = np.random.default_rng(0), shape_m
+    points = rng.uniform(0.0, 1.0, (3000, 3)) * shape_m
+    points[:1000, 1], points[1000:2000, 0], points[2000:, 2] = 0.0, width, height
+    assert divided(points + rng.normal(0.0, 0.001, points.shape)) is None
+
+
+def test_five_cans_that_touch_are_five_objects():
+    """Without a step in depth between them; three of them were one, and no vessel by its shape."""
+    ways = (0.4, 1.6, 3.0, 4.6)
+    cans = [Can(0.0, 0.0), *(Can(0.081 * np.cos(way), 0.081 * np.sin(way)) for way in ways)]
+    view = perceive(draw(*cans, noise_m=0.0015).cloud)
+    middles_m = np.array([camera_point([can.x_m, can.y_m, can.height_m / 2]) for can in cans])
+    assert sorted(matched(middles_m, centroids(view), 0.005).now.tolist()) == list(range(5))
 
 
 @pytest.mark.parametrize(

@@ -146,20 +146,21 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
 
 
 def _pieces(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[Labels, list[_Piece]]:
-    """Make a piece of each sheet; a sheet that is not one vessel but shows two is divided."""
+    """Make a piece of each sheet; a sheet that is not one vessel but shows several is divided."""
     sheets, points_m, pieces = sheets.copy(), image.points_m.reshape(-1, 3), []
     of_sheet = pixels_of(sheets)
     sets = [plane.table_points(points_m[pixels]) for pixels in of_sheet]
     spread = [_spread(points) for points in sets]
     for sheet, (points, solid) in enumerate(zip(sets, completed(spread), strict=True)):
         is_doubtful = isinstance(solid, Hull) or solid.misfit > DOUBTFUL_VESSEL_MISFIT
-        is_first = divided(points) if len(points) >= FEWEST_POINTS and is_doubtful else None
-        if is_first is None or is_first.all() or not is_first.any():
+        part = divided(points) if len(points) >= FEWEST_POINTS and is_doubtful else None
+        if part is None or not np.ptp(part):
             pieces.append(_Piece((sheet,), spread[sheet], solid))
             continue
-        new = int(sheets.max()) + 1
-        sheets.ravel()[of_sheet[sheet][~is_first]] = new
-        pieces += [_Piece((sheet,), _spread(points[is_first])), _Piece((new,), _spread(points[~is_first]))]
+        for k in np.unique(part):
+            number = sheet if k == part.min() else int(sheets.max()) + 1
+            sheets.ravel()[of_sheet[sheet][part == k]] = number
+            pieces.append(_Piece((number,), _spread(points[part == k])))
     return sheets, pieces
 
 
