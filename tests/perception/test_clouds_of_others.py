@@ -112,7 +112,7 @@ def test_five_cans_that_touch_are_five_objects():
     ways = (0.4, 1.6, 3.0, 4.6)
     cans = [Can(0.0, 0.0), *(Can(0.081 * np.cos(way), 0.081 * np.sin(way)) for way in ways)]
     view = perceive(draw(*cans, noise_m=0.0015).cloud)
-    middles_m = np.array([camera_point([can.x_m, can.y_m, can.height_m / 2]) for can in cans])
+    middles_m = np.array([camera_point(np.array([can.x_m, can.y_m, can.height_m / 2])) for can in cans])
     assert sorted(matched(middles_m, centroids(view), 0.005).now.tolist()) == list(range(5))
 
 

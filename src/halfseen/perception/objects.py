@@ -128,7 +128,7 @@ def _continuous(image: RangeImage, above: Pixels) -> Labels:
         edges.append(np.stack([np.flatnonzero(is_joined), beside[is_joined]]))
     pairs = np.concatenate(edges, axis=1)
     graph = coo_matrix((np.ones(pairs.shape[1]), (pairs[0], pairs[1])), shape=(len(above), len(above)))
-    fewest_px = int(np.clip(COARSE_SHEET_M2 / np.median(width_m) ** 2, FEWEST_COARSE_PX, SMALLEST_SHEET_PX))
+    fewest_px = int(np.clip(COARSE_SHEET_M2 / np.median(width_m[::16]) ** 2, FEWEST_COARSE_PX, SMALLEST_SHEET_PX))
     labels.ravel()[above] = _largest_first(connected_components(graph, directed=False)[1], fewest_px)
     return labels
 
