@@ -84,8 +84,8 @@ def test_csv_and_json_say_the_same_and_people_get_the_reason_first(flat, tmp_pat
     lines = as_json.splitlines()
     assert lines[0].startswith(("A: worth ", "C: worth "))
     assert lines[1:4] == [f"warning: {DULL}", "", "stage 2 of 2"]
-    assert [line.split()[0] for line in lines[5:-1]] in (["A", "C", "How"], ["C", "A", "How"])
-    assert lines[-2].startswith("How sure this is nobody knows: the policy was learned without pessimism")
+    assert [line.split()[0] for line in lines[5:-1]] in (["A", "C", "The"], ["C", "A", "The"])
+    assert lines[-2].startswith("The uncertainty is unknown: the policy was learned without pessimism")
     assert lines[5].split()[0] == lines[0][0]
     far = state(tmp_path, text='{"x1": 800, "x2": 1}')
     assert "warning: x1 is 800, outside the logs (" in run(flat, far, "--extrapolate")

@@ -86,7 +86,9 @@ def test_options_reach_the_model(folders):
 
 
 def test_the_logs_that_it_was_learned_from_are_told_apart(folders):
-    assert "note: it was learned from these very logs" in told(folders / "policy", "--logs", folders / "learned").output
+    assert (
+        "note: the policy was learned from these logs" in told(folders / "policy", "--logs", folders / "learned").output
+    )
 
 
 def test_whole_numbers_are_no_text_in_evaluate_report_and_baselines(tmp_path):

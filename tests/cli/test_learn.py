@@ -132,7 +132,7 @@ def test_what_to_try_is_written_for_serve_and_the_best_guess_on_request(tmp_path
 def test_a_table_that_names_nothing_to_try_is_noted(folder, tmp_path):
     arguments = (folder / "tables", "--out", tmp_path / "policy", "--horizon", 3, "--reg", 0.1)
     report = json.loads(run(*arguments, "--exploration", tmp_path / "try.csv", "--json", has_verdict=True).stdout)
-    assert report["notes"][-1].startswith(f"{tmp_path / 'try.csv'} names nothing to try;")
+    assert report["notes"][-1].startswith(f"{tmp_path / 'try.csv'} lists no actions to try;")
     assert read_exploration(tmp_path / "try.csv", ("A",), ()).shares({}, 1) == {}
 
 
@@ -214,7 +214,7 @@ def test_a_verdict_on_some_of_the_trajectories_says_so(folder, tmp_path, monkeyp
     monkeypatch.setattr(held_out, "MOST_JUDGED", 30)
     arguments = (folder / "flat", "--out", tmp_path / "policy", "--reg", 0.1, "--streaming", "--json")
     report = json.loads(run(*arguments, has_verdict=True).stdout)
-    assert "the verdict is of policies learned from 30 of the 40 trajectories, drawn at random" in report["notes"]
+    assert "the verdict is about policies learned from 30 of the 40 trajectories, drawn at random" in report["notes"]
 
 
 def _trial(num_trajectories):

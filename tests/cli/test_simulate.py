@@ -83,7 +83,7 @@ def test_a_cell_takes_the_policy_of_as_many_arms(house, learned):
     assert isinstance(mixed, ExploringPolicy)
     assert mixed.random_share == 0.25
     with pytest.raises(
-        PolicyError, match="decides for a team of 2 robots, and 3 arms clear the table; learn one from logs of 3"
+        PolicyError, match="decides for a team of 2 robots, but 3 arms clear the table; learn one from logs of 3"
     ):
         policy_for(name, 0.0, config, 3)
 
@@ -104,7 +104,7 @@ def test_a_robot_has_the_law_that_its_file_names(refused, tmp_path):
     assert json.loads(told.stdout)["robots"] == ["left", "right", "behind"]
     (tmp_path / "no-law.toml").write_text(LEFT + 'law = "asumed"\n')
     told = refused("simulate", TABLE, "--team", tmp_path / "no-law.toml", "--out", tmp_path / "none")
-    assert f"{tmp_path / 'no-law.toml'}: robot 0: law: asumed: there is no such folder" in told
+    assert f"{tmp_path / 'no-law.toml'}: robot 0: law: asumed: no such folder" in told
     assert "did you mean 'assumed'?" in told
 
 

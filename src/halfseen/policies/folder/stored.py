@@ -66,7 +66,7 @@ class StoredPolicy:
         """The robots that it decides for, in words."""
         if self.num_robots is not None:
             return f"a team of {self.num_robots} robot{'' if self.num_robots == 1 else 's'}"
-        return "one robot by itself" if self.is_table else "no table"
+        return "a single robot" if self.is_table else "named actions"
 
     @property
     def horizon(self) -> int:
