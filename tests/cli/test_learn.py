@@ -77,7 +77,7 @@ def test_a_verdict_that_cannot_be_had_does_not_keep_the_policy_back(tmp_path):
     flat_log(num_trajectories=12).write(tmp_path / "few")
     plain = ("--reg", 0.1, "--q-function", "linear", "--stages", "pooled", "--censoring", "kaplan-meier")
     result = run(tmp_path / "few", "--out", tmp_path / "policy", *plain, has_verdict=True)
-    assert "\nInconclusive: the log has 12 trajectories, and 10 folds need 20; record more (said of" in result.stdout
+    assert "\nInconclusive: the log has 12 trajectories, but 10 folds need 20; record more (said of" in result.stdout
     assert result.stderr == ""
     assert read_policy(tmp_path / "policy").verdict["verdict"] == "inconclusive"
 

@@ -86,7 +86,7 @@ def test_better_is_better_than_each_and_among_many_one_small_p_value_is_no_evide
     assert first.difference.low > 0
     assert first.p < 0.05 < first.adjusted_p
     assert first.verdict == "inconclusive"
-    assert "not enough among so many baselines" in first.reason
+    assert "not significant among so many baselines" in first.reason
     assert compared(ours, theirs[:1], 0.95)[0].verdict == "better"
 
 
@@ -183,7 +183,7 @@ def test_a_verdict_says_what_would_undo_it_and_an_open_one_or_one_without_cuts_n
     assert cut.verdict == "better"
     assert cut.comparisons[0].gamma > 1.0
     assert cut.sensitivity in str(cut).splitlines()[1]
-    assert "To undo this" in cut.sensitivity
+    assert "To overturn this" in cut.sensitivity
     assert (uncut.verdict, uncut.sensitivity) == ("better", "")
 
 
