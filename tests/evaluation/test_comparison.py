@@ -154,10 +154,10 @@ def test_every_kind_of_baseline_has_a_name(tmp_path):
     [
         ([], "against is empty"),
         (["logging", "logging"], "names the logging policy twice"),
-        ("rules.ods", "against is 'rules.ods'; it is logging, logging-rule"),
+        ("rules.ods", "against is 'rules.ods'; give logging, logging-rule"),
         ("sequence:A,,B", "name an action for each stage"),
         ("sequence:A", "the sequence A is for 1 stage"),
-        (3, "the int decides nothing about named actions"),
+        (3, "the int does not decide about the named actions"),
         ("nowhere.toml", "nowhere.toml: it cannot be read"),
     ],
 )
