@@ -224,8 +224,11 @@ def test_a_folder_of_tables_is_one_table(place):
     assert "days, file tuesday.csv, line 3, column 'Wert': 'much' is no number" in refusal(
         "days", "--mapping", "events.toml", "--out", "x"
     )
+    Path("days/._monday.csv").write_bytes(b"\0")  # as a Mac leaves beside each file on foreign disks
     Path("days/tuesday.csv").write_text("a;b\n1;2\n")
-    assert "tuesday.csv: its columns are 'a', 'b'" in refusal("days", "--mapping", "events.toml", "--out", "x")
+    assert "tuesday.csv: its columns are not those of days/monday.csv ('Ereignis', " in refusal(
+        "days", "--mapping", "events.toml", "--out", "x"
+    )
 
 
 def test_rows_of_a_database_are_events_too(place):
@@ -256,6 +259,25 @@ def test_a_mapping_is_made_from_a_table_printed_or_written(place, typed):
         assert message in typed("convert", *words).err
 
 
+def test_several_tables_are_read_from_a_folder(place):
+    told = refusal("monday.csv", "tuesday.csv", "--mapping", "cell.toml", "--out", "x")
+    assert "--mapping is for one SOURCE, and 2 are given; put tables with the same columns, or bags, into one" in told
+
+
+def test_a_folder_of_tables_is_told_how_to_be_read(place, typed):
+    for name in ("a.txt", "b.txt"):
+        (place / "texts").mkdir(exist_ok=True)
+        (place / "texts" / name).write_text(GERMAN.replace(";7;", f";{name};"), encoding="utf-8")
+    (place / "cell.toml").write_text(HISTORIAN, encoding="utf-8")
+    assert "texts holds no logs; make a mapping of its tables: halfseen convert texts" in typed("inspect", "texts").err
+    (place / "above").mkdir()
+    (place / "texts").rename(place / "above" / "texts")
+    assert "above: it holds no tables or bags itself; give a folder of" in refusal(
+        "above", "--mapping", "cell.toml", "--out", "x"
+    )
+    assert "give a folder that Logs.write wrote" in typed("inspect", "above").err
+
+
 def test_who_has_a_table_and_no_mapping_hears_of_the_command_that_makes_one(place, typed):
     for name, quoted in (("events.csv", "events.csv"), ("my events.csv", "'my events.csv'")):
         (place / name).write_text(GERMAN, encoding="cp1252")
@@ -266,6 +288,10 @@ def test_who_has_a_table_and_no_mapping_hears_of_the_command_that_makes_one(plac
     (place / "book.xlsx").write_bytes(b"PK")
     assert "book.xlsx: workbooks are not read; save the sheet as CSV" in refusal("book.xlsx", "--out", "logs")
     assert "`halfseen convert --help` says which files are read" in typed("inspect", "book.xlsx").err
+    (place / "events.csv.GZ").write_bytes(b"\x1f\x8b")
+    assert "unpack it, and read what it holds" in refusal("events.csv.GZ", "--out", "logs")
+    (place / "MORE.CSV").write_text(GERMAN, encoding="cp1252")
+    assert "halfseen convert MORE.CSV --mapping-template --out cell.toml" in typed("inspect", "MORE.CSV").err
     broken = GERMAN.replace("1,25", "viel")
     (place / "events.csv").write_text(broken, encoding="cp1252")
     (place / "cell.toml").write_text(HISTORIAN, encoding="utf-8")

@@ -48,8 +48,8 @@ def test_the_low_rank_form_is_near_the_exact_one():
         CensoredQLearner.of_paper(1, ["A", "B"], ["x1", "x2"], q_function=KernelQ(size, gamma=0.5), reg=REG).fit(logs)
         for size in (400, 60)
     )
-    assert few.kernel_map_ is not None
-    assert few.kernel_map_.projection.shape[0] == 60
+    assert few.model_.kernel_map is not None
+    assert few.model_.kernel_map.projection.shape[0] == 60
     difference = few.q_values(logs.stages, 1) - exact.q_values(logs.stages, 1)
     assert np.abs(difference).max() < 0.02 * np.ptp(exact.q_values(logs.stages, 1))
 

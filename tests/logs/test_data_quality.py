@@ -79,9 +79,9 @@ def caused(tables, cause, rows=slice(None), end_s=None):
         tables["trajectories"].loc[is_cut, "end_s"] = np.linspace(end_s, end_s * 1.001, len(is_cut))
 
 
-def in_milliseconds(tables, num_first=10):
+def in_milliseconds(tables, num_first=10, factor=1000):
     for name, column in (("stages", "elapsed_s"), ("trajectories", "end_s")):
-        tables[name].loc[tables[name]["trajectory"] < num_first, column] *= 1000
+        tables[name].loc[tables[name]["trajectory"] < num_first, column] *= factor
 
 
 def stages(column, value, of=lambda stages: slice(None)):
@@ -130,6 +130,8 @@ def without_probability(tables):
         (in_milliseconds, "mixed-clock-units", r"in (10|9) .*are some clocks in milliseconds\?"),
         (lambda tables: in_milliseconds(tables, 1), "mixed-clock-units",
          r"^stages of trajectory \d+ last .* about 1,000 times as long as those of all others .* in milliseconds\?$"),
+        (lambda tables: in_milliseconds(tables, 10**6, 1e-6), "short-clock",
+         r"^half of the stages last \S+e-06 s or less: are clocks in days, hours or thousands of seconds\?$"),
         (in_text_order, "text-order", "where 'run-109' comes before 'run-11', and which came"),
         (reward_as_distance, "reward-as-covariate", "^all {completed} rewards equal distance: was the wrong column"),
         *(

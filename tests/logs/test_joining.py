@@ -175,6 +175,10 @@ def test_trajectories_keep_all_that_is_known_of_them_and_parts_equal_the_whole_t
         joined([log(1), log(1)])
 
 
+def whole(trajectory, x):
+    return log_of({"end_s": 1.5}, trajectory=trajectory, elapsed_s=[1.0], reward=2.0, x=[x])
+
+
 def in_a_stream(logs, folder):
     write_stream(logs, folder / "all")
 
@@ -189,6 +193,7 @@ def in_a_folder(logs, folder):
     [
         ([], "no log to join|there is no part|no folder is given"),
         ([log(1), log(2, size=[1.0])], "only some of the|has objects and"),
+        ([whole(1, 2**53 + 1), whole(2, 0.5)], "types that do not go together|does not fit the types of those before"),
         ([log(1).in_unit("Körbe"), log(2).in_unit("parts")], "rewards are in 'Körbe' and in 'parts'"),
     ],
 )
@@ -262,5 +267,9 @@ def test_what_is_not_there_is_refused_with_what_is():
         since(dated(), 8)
     with refused("give the name of one, 5 to 9, or a date"):
         since(dated(), "2027-01-01")
+    # A mistyped trajectory is no year, and a day is not taken for a month.
+    for when in ("1700", 1700, "02.03.2026", "03/02/2026", "now", "March 2026", "2026-03-32"):
+        with refused(f"since is {when}, and the log has no such trajectory; .* as 2026-01-31"):
+            since(dated(), when)
     with refused("give the name of one, 'a' to 'b'$"):
         since(log_of(trajectory=["a", "b"]), "2026-03-02")

@@ -141,9 +141,13 @@ def test_a_covariate_that_foretells_much_and_was_known_before_raises_no_doubt():
         ("part", pd.array(range(120), dtype="Int64"), {"identifier"}),
         ("colour", pd.Categorical(["red", "blue"] * 60), set()),
         ("mass", pd.array([f"{k},5" for k in range(120)], dtype="string"), {"number-as-text"}),
+        ("level", [f"{k % 4}.5" for k in range(120)], {"number-as-text"}),
+        ("lamp", ["on", "nan", "off", " NULL"] * 30, {"missing-as-text"}),
+        ("tool", ["none", "NA", "a", "b"] * 30, set()),
+        ("floor", [f"{k % 4}" for k in range(120)], set()),
         ("probability", np.full(120, 1e-300), {"untrue-probability"}),
     ],
-    ids=["boolean", "bool", "Int64", "category", "string", "tiny"],
+    ids=["boolean", "bool", "Int64", "category", "string", "fractions", "missing", "names", "digits", "tiny"],
 )
 def test_columns_of_all_kinds_are_looked_at_without_a_warning(name, values, kind):
     rng, num = np.random.default_rng(0), 120
@@ -159,6 +163,22 @@ def evaluated(stages, trajectories, **options):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return evaluate(FixedSequence(("vacuum",) * 5), logs, against="logging", **options)
+
+
+def test_the_number_of_a_row_is_no_covariate():
+    rng, num = np.random.default_rng(0), 40
+    seen = {
+        "trajectory": np.repeat(range(num), 6),
+        "stage": np.tile(range(1, 7), num),
+        "elapsed_s": np.tile(np.cumsum(rng.gamma(0.5, 1.0, 6)), num),
+    }
+    seen |= {"action": rng.choice(["A", "B"], 6 * num), "reward": rng.random(6 * num), "x": rng.random(6 * num)}
+    for row in (np.arange(6 * num), np.arange(6.0 * num)[::-1] + 7):
+        told = [each.sentence for each in data_warnings(log_of(**seen, row=row)) if each.kind == "identifier"]
+        assert told == ["covariate row numbers the rows, which tells nothing of the next one: leave it out"]
+    assert "identifier" not in {
+        each.kind for each in data_warnings(log_of(**seen, row=rng.permutation(960)[: 6 * num]))
+    }
 
 
 def test_no_verdict_rests_on_probabilities_that_nobody_had_unless_they_are_trusted():

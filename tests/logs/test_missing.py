@@ -1,18 +1,47 @@
 """What stands for missing covariates: medians by hand, values carried forward by a loop, streams, states and forms."""
 
+from functools import partial
+
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from bags import number as number_of
+from bags import tables_of, text, write_bag
 from event_files import WIDE
+from foreign import LAST as LAST_STEP
+from foreign import (
+    NO,
+    arrays,
+    episodes,
+    last_of,
+    rows_of,
+    write_arrays,
+    write_lerobot,
+    write_minari_episodes,
+    write_rows,
+)
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, LogStream, compact, read_logs
-from halfseen.logs.formats import losses, read_csv, read_event_table, read_sql, write_csv, write_minari
+from halfseen.logs.formats import (
+    StepRules,
+    losses,
+    read_bag,
+    read_csv,
+    read_event_table,
+    read_lerobot,
+    read_minari,
+    read_sql,
+    read_step_arrays,
+    read_steps,
+    write_csv,
+    write_minari,
+)
 from halfseen.logs.formats.sql_rows import Queries
-from halfseen.logs.missing import KEEP, LAST, MEDIAN, Fill, Filling
+from halfseen.logs.missing import KEEP, LAST, MEDIAN, Fill, Filling, share_of
 from holes import holed, holed_log
 from refusals import refused
 from small_logs import flat_log, table_log
@@ -297,3 +326,31 @@ def test_a_database_may_hold_null(tmp_path):
     expected = Logs(logs.stages, logs.trajectories, missing=MEDIAN)
     assert found.filling == expected.filling
     np.testing.assert_array_equal(found.stages["x"], expected.stages["x"])
+
+
+def test_steps_and_bags_may_lack_what_was_seen(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    found = episodes(lengths=(2,))
+    found[0]["observed"][0][0] = np.nan
+    seen, rules = np.array([[np.nan, 1.0], [2.0, 3.0], [4.0, 5.0], [6.0, 7.0]]), StepRules(step_s=1.0)
+    messages = [number_of(1.0, "/c", np.nan), text(1.0, "/a", "A"), number_of(2.0, "/r", 1.0), text(3.0, "/e", "stop")]
+    (tmp_path / "cell.toml").write_text(
+        tables_of({key: f"/{key[0]} data" for key in ("action", "reward", "ending", "covariates.c")})
+    )
+    readers = [
+        partial(read_steps, write_rows(tmp_path / "rows", rows_of(found, [True])), rules),
+        partial(read_step_arrays, write_arrays(tmp_path / "a.hdf5", arrays(found, [0])), rules),
+        partial(read_lerobot, write_lerobot(tmp_path, found, extra={"next.terminated": last_of(found, [True])}), rules),
+        partial(read_minari, write_minari_episodes("holes-v0", [(LAST_STEP, NO)], observations=seen), step_s=1.0),
+        partial(read_bag, write_bag(tmp_path / "bag", messages, "mcap"), tmp_path / "cell.toml"),
+    ]
+    for read in readers:
+        logs = read(missing=KEEP)
+        assert np.isnan(logs.stages[logs.stage_covariates[0]].tolist()[:2]).tolist() in ([True, False], [True, True])
+        with refused(r"trajectory .*, stage 1: covariate .* is null, as in [12] of .* fill it in by --missing"):
+            read()
+
+
+@pytest.mark.parametrize(("count", "said"), [(3, "3 of 400 stages (0.75 %)"), (400, "400 of 400 stages (100 %)")])
+def test_a_share_is_said_in_plain_digits(count, said):
+    assert share_of(count, 400) == said

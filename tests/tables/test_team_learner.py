@@ -131,7 +131,7 @@ def test_what_was_never_seen_completed_has_no_value():
         ((2.5,), "num_robots is 2.5; give a whole number"),
         (("2",), "num_robots is '2'"),
         ((True,), "num_robots is True"),
-        ((2, "3"), "horizon is '3'; give the decisions of each robot, a whole number ≥ 1"),
+        ((2, "3"), "horizon is '3'; give a whole number of at least 1"),
         ((2, 2.5), "horizon is 2.5"),
         ((2, 0), "horizon is 0"),
     ],

@@ -81,6 +81,11 @@ def convert(
         missing, ctx = "target" if sources else "sources", click.get_current_context()
         raise click.MissingParameter(ctx=ctx, param=next(one for one in ctx.command.params if one.name == missing))
     if len(sources) > 1:
+        if reading.mapping is not None:
+            raise ArgumentError(
+                f"--mapping is for one SOURCE, and {len(sources)} are given; put tables with the same columns, or "
+                "bags, into one folder, and give that"
+            )
         check_options("parquet", reading)
         _compact(sources, target, is_check, as_json)
         return

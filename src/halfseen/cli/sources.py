@@ -80,6 +80,8 @@ def kind_of(source: str, is_mapped: bool = False) -> str:
     if _bags(path):
         return "bag"
     refuse_no_folder(path)
+    if is_mapped and not (path / "logs.json").exists():
+        raise LogError(f"{source}: it holds no tables or bags itself; give a folder of .csv, .tsv or .parquet files")
     return "parquet"
 
 
@@ -88,8 +90,8 @@ def _step_files(path: Path) -> list[Path]:
     from halfseen.logs.formats.step_tables import TABLE_FILES
 
     if not path.is_dir():
-        return [path] if path.suffix in TABLE_FILES else []
-    files = sorted(file for file in path.iterdir() if file.suffix in TABLE_FILES)
+        return [path] if path.suffix.lower() in TABLE_FILES else []
+    files = _shown_files(path, TABLE_FILES)
     return [] if any(file.stem in ("stages", "trajectories", "objects") for file in files) else files
 
 
@@ -99,7 +101,14 @@ def tables_of_events(path: Path) -> list[Path]:
         return [path]
     if _bags(path) or (path / "logs.json").exists():
         return []
-    return sorted(file for file in path.iterdir() if file.suffix in (".csv", ".tsv", ".parquet"))
+    return _shown_files(path, (".csv", ".tsv", ".parquet")) or _shown_files(path, (".txt",))
+
+
+def _shown_files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    """Files of a folder by the end of their names, in order; hidden files are passed over."""
+    return sorted(
+        file for file in folder.iterdir() if file.suffix.lower() in suffixes and not file.name.startswith(".")
+    )
 
 
 def _bags(path: Path) -> list[Path]:
@@ -157,12 +166,12 @@ def read(kind: str, source: str, how: Reading, missing: str | None = None) -> "L
         "parquet": lambda: read_logs(source, missing=missing),
         "csv": lambda: formats.read_csv(source, missing=missing),
         "older": lambda: formats.read_older(place_of(source)),
-        "bag": lambda: _read_bags(_bags(Path(source)), how),
+        "bag": lambda: _read_bags(_bags(Path(source)), how, missing),
         "sql": lambda: _read_sql(source.removeprefix(SQL), how, missing),
-        "minari": lambda: formats.read_minari(source.removeprefix(MINARI), **timed),
-        "lerobot": lambda: formats.read_lerobot(source, rules),
-        "hdf5": lambda: formats.read_step_arrays(source, rules),
-        "steps": lambda: formats.read_steps(_step_files(Path(source)), rules),
+        "minari": lambda: formats.read_minari(source.removeprefix(MINARI), **timed, missing=missing),
+        "lerobot": lambda: formats.read_lerobot(source, rules, missing=missing),
+        "hdf5": lambda: formats.read_step_arrays(source, rules, missing=missing),
+        "steps": lambda: formats.read_steps(_step_files(Path(source)), rules, missing=missing),
         "events": lambda: _read_events(source, how, missing),
     }
     return readers[kind]()
@@ -207,7 +216,7 @@ def _read_events(source: str, how: Reading, missing: str | None) -> "Logs":
     return read_event_table(tables, how.mapping, missing=missing)
 
 
-def _read_bags(bags: list[Path], how: Reading) -> "Logs":
+def _read_bags(bags: list[Path], how: Reading, missing: str | None) -> "Logs":
     """Read bags; on request, detect the objects of each stage's cloud, and write the clouds to a folder."""
     from halfseen.logs.formats import read_bag
 
@@ -225,7 +234,7 @@ def _read_bags(bags: list[Path], how: Reading) -> "Logs":
             return count
 
         keep = None if how.clouds is None else counted(partial(_kept, how.clouds))
-        return read_bag(bags, how.mapping, see=counted(_see) if how.see else None, keep=keep)
+        return read_bag(bags, how.mapping, see=counted(_see) if how.see else None, keep=keep, missing=missing)
 
 
 def _kept(folder: Path, points_m: "np.ndarray", shape: tuple[int, int], name: str) -> str:

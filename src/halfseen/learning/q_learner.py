@@ -23,7 +23,6 @@ from halfseen.learning.q_model import QModel, is_count
 from halfseen.learning.q_space import (
     SMOOTH,
     CrossValidation,
-    KernelMap,
     LinearQ,
     QSpace,
     StageMode,
@@ -86,14 +85,13 @@ class CensoredQLearner(Estimator):
         ``"separate"``: one Q per stage. ``"pooled"``: one Q per number of steps to go, fitted to the rows of all
         stages. ``"auto"``: pooled, unless separate stages predict clearly better (`judging`).
     reg
-        λ; ``"cv"`` or ``CrossValidation(…)`` to choose it for each regression and block by weighted cross-validation
-        over trajectories.
+        λ; ``"cv"`` or ``CrossValidation(…)``: chosen for each regression and block by weighted cross-validation.
     pessimism
         Standard errors by which Q is lowered wherever a maximum is taken, in eq. 3 and by the policy, so that estimates
         from few stages are not trusted (`regression`). The policy lowers Q less for actions that the log often takes
         (`behaviour`). 0 gives eq. 3 unchanged. ``"auto"``: 2/√T, but 0 if `censoring` is given.
     random_state
-        Seed for assigning trajectories to folds and drawing the landmarks of a kernel.
+        Seed of the folds of trajectories and the landmarks of a kernel.
     half_life
         Number of trajectories over which a trajectory's weight in eq. 3 halves, counted back from the last of the log
         (`sample`). ``"auto"`` chooses it on held-out later trajectories (`judging`); None weights all equally. Models
@@ -117,20 +115,10 @@ class CensoredQLearner(Estimator):
     Examples
     --------
     >>> from halfseen.logs import Logs
-    >>> logs = Logs(
-    ...     stages={
-    ...         "trajectory": [0, 1, 2, 3],
-    ...         "stage": [1, 1, 1, 1],
-    ...         "elapsed_s": [1.0, 1.0, 2.0, None],
-    ...         "action": ["A", "B", "B", "A"],
-    ...         "reward": [0.0, 1.0, 2.0, None],
-    ...     },
-    ...     trajectories={
-    ...         "trajectory": [0, 1, 2, 3],
-    ...         "end_s": [1.0, 1.0, 2.0, 1.5],
-    ...         "ending": ["finished"] * 3 + ["cut"],
-    ...     },
-    ... )
+    >>> stages = {"trajectory": [0, 1, 2, 3], "stage": [1, 1, 1, 1], "action": ["A", "B", "B", "A"]}
+    >>> stages |= {"elapsed_s": [1.0, 1.0, 2.0, None], "reward": [0.0, 1.0, 2.0, None]}
+    >>> trajectories = {"trajectory": [0, 1, 2, 3], "end_s": [1.0, 1.0, 2.0, 1.5], "ending": ["finished"] * 3 + ["cut"]}
+    >>> logs = Logs(stages=stages, trajectories=trajectories)
     >>> learner = CensoredQLearner.of_paper(horizon=1, actions=["A", "B"], reg=0.0).fit(logs)
     >>> learner.decide(pd.DataFrame(index=[0]), stage=1)
     array(['B'], dtype=object)
@@ -194,14 +182,12 @@ class CensoredQLearner(Estimator):
         laws: str | None = AUTO,
         **parameters: Any,
     ) -> "CensoredQLearner":
-        """Make a learner for logs of several robots at one table, as `for_table` does for one.
+        """Make a learner for logs of K robots at one table, as `for_table` does for one.
 
         Parameters
         ----------
-        num_robots
-            K.
-        horizon
-            Decisions of each robot; T is K times this number.
+        num_robots, horizon
+            K, and the decisions of each robot; T is their product.
         grasp, reduces_variance, base
             Parameters of the task (see `halfseen.tables.TeamTask`). If `base` is given, no laws are used.
         laws, **parameters
@@ -212,10 +198,9 @@ class CensoredQLearner(Estimator):
         ArgumentError
             `num_robots` or `horizon` is not a whole number of at least 1, or `laws` is not valid.
         """
-        if not is_count(num_robots):
-            raise ArgumentError(f"num_robots is {num_robots!r}; give a whole number of at least 1")
-        if not is_count(horizon):
-            raise ArgumentError(f"horizon is {horizon!r}; give the decisions of each robot, a whole number ≥ 1")
+        for name, count in (("num_robots", num_robots), ("horizon", horizon)):
+            if not is_count(count):
+                raise ArgumentError(f"{name} is {count!r}; give a whole number of at least 1")
         task = named_task("team", grasp=grasp, reduces_variance=reduces_variance, num_robots=num_robots, base=base)
         learner = learner_of("team", cls, laws if _is_auto(base) else None, parameters)
         return learner(num_robots * horizon, task, **parameters)
@@ -274,8 +259,7 @@ class CensoredQLearner(Estimator):
         task, is_fixed = self._task(), not _is_auto(self.censoring)
         is_of_policy = bool(getattr(task, "is_of_policy", False))
         by_itself = BuckleyJames() if logs is None or is_fixed or logs.has_all_actions else Weighted()
-        plain = SMOOTH if task.is_shared else LinearQ()
-        space = q_space_of(self.q_function) if not _is_auto(self.q_function) else plain
+        space = q_space_of((SMOOTH if task.is_shared else LinearQ()) if _is_auto(self.q_function) else self.q_function)
         if isinstance(space, TabularQ) or (_is_auto(self.q_function) and is_state(logs, self.covariates)):
             return self._of_table(task, logs, targets_of(self.censoring) if is_fixed else Weighted())
         model = QModel(
@@ -313,9 +297,9 @@ class CensoredQLearner(Estimator):
                 f"{self.half_life!r}; select those since a change instead (--since)"
             )
         states = with_states(task, logs, targets)
-        why = (f"Q is a table: {states.covariates[0]} holds the states",)
+        rest = (targets, TabularQ(), reg_of(self.reg), "pooled", self.random_state)
         return QModel(
-            self.horizon, states, targets, TabularQ(), reg_of(self.reg), "pooled", self.random_state, space_chosen=why
+            self.horizon, states, *rest, space_chosen=(f"Q is a table: {states.covariates[0]} holds the states",)
         )
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
@@ -338,12 +322,6 @@ class CensoredQLearner(Estimator):
         check_fitted(self, "model_")
         assert self.model_.support is not None
         return unseen_in_words(self.model_.support, self.model_.task.block_names, self.model_.stages)
-
-    @property
-    def kernel_map_(self) -> KernelMap | None:
-        """Features of the kernel; None for a linear Q."""
-        check_fitted(self, "model_")
-        return self.model_.kernel_map
 
     def _task(self) -> Task:
         if isinstance(self.actions, type) or not isinstance(self.actions, (Sequence, Mapping, Task)):

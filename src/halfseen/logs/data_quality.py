@@ -28,7 +28,7 @@ from halfseen.logs.grouping import (
     rows_with,
 )
 from halfseen.logs.logs import Logs
-from halfseen.logs.mixed_units import long_clocks, mixed_clocks, mixed_covariates
+from halfseen.logs.mixed_units import long_clocks, mixed_clocks, mixed_covariates, short_clocks
 from halfseen.logs.plausibility import (
     MOST_EXPLAINED,
     cuts_called_finished,
@@ -41,8 +41,10 @@ from halfseen.suggestions import alike, spelled_out
 FEWEST_ROWS, FEWEST_CUTS, FEWEST_TRAJECTORIES = 10, 5, 30
 FEWEST_IN_STATE, FEWEST_STAGES, RARE_SHARE = 50, 200, 0.01
 SAME_END, NEARLY_ALL, NUM_NAMED, MOST_SPELLINGS = 0.01, 0.99, 3, 1000
-AS_NUMBER = r"[+-]?(?:\d{1,3}(?:[.,'\u2019 ]\d{3})+(?:[.,]\d+)?|\d+,\d+)"
-"""A number with a decimal comma or thousands separators."""
+AS_NUMBER = r"[+-]?(?:\d{1,3}(?:[.,'\u2019 ]\d{3})+(?:[.,]\d+)?|\d*[.,]\d+)"
+"""A fraction, or a number with thousands separators."""
+READ_AS_MISSING = {"nan", "<na>", "null", "n/a", "#n/a", "#nv", "nat"}
+"""Texts, in lower case, that programs write for what is missing; none and NA are names, too."""
 NAMES_OF_ENDS = {
     *("finished", "finish", "done", "success", "succeeded", "complete", "completed"),
     *("goal", "goal-reached", "cleared", "terminated", "terminal", "ok"),
@@ -143,11 +145,16 @@ def _identifiers(logs: Logs) -> Iterator[str]:
             continue
         values = stages[name].to_numpy(dtype=np.float64)
         first = values[is_first]
-        is_counted = (first % 1 == 0).all() and np.ptp(first) < 3.0 * len(first)
-        if is_counted and len(np.unique(first)) >= NEARLY_ALL * len(first):
-            yield f"covariate {name} numbers the trajectories, which tells nothing of the next one: leave it out"
+        numbered = next((what for what, of in {"trajectories": first, "rows": values}.items() if _is_count(of)), None)
+        if numbered is not None:
+            yield f"covariate {name} numbers the {numbered}, which tells nothing of the next one: leave it out"
         elif _is_clock(values - first[row], began_s):
             yield f"covariate {name} runs with the clock, which later trajectories have of their own: leave it out"
+
+
+def _is_count(values: Rows) -> bool:
+    is_dense = (values % 1 == 0).all() and np.ptp(values) < 3.0 * len(values)
+    return bool(is_dense and len(np.unique(values)) >= NEARLY_ALL * len(values))
 
 
 def _is_clock(since_first: Rows, began_s: Rows) -> bool:
@@ -165,7 +172,18 @@ def _numbers_as_text(logs: Logs) -> Iterator[str]:
         if is_number.mean() > 0.5:
             yield (
                 f"{name} is text that reads as numbers, such as {shown(text[is_number].iloc[0])}, and each is taken "
-                "for a category: write them with a decimal point and without separators"
+                "for a category: write them as numbers, with a decimal point and without separators"
+            )
+
+
+def _missing_as_text(logs: Logs) -> Iterator[str]:
+    for name, values, _ in covariate_columns(logs):
+        text = _texts(values)
+        is_missing = text.map(lambda each: each.strip().lower() in READ_AS_MISSING).astype(bool)
+        if is_missing.any():
+            yield (
+                f"{name} is {shown(text[is_missing].iloc[0])} in {is_missing.sum()} of {len(values)} rows, and that is "
+                "taken for a category: where nothing was seen, leave it empty, and say by --missing what stands for it"
             )
 
 
@@ -310,6 +328,7 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "text-order": _text_order,
     "identifier": _identifiers,
     "number-as-text": _numbers_as_text,
+    "missing-as-text": _missing_as_text,
     "one-action": _one_action,
     "no-alternative": _no_alternative,
     "end-among-causes": _ends_among_causes,
@@ -317,6 +336,7 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "cuts-in-one-stage": _one_stage,
     "mixed-clock-units": mixed_clocks,
     "long-clock": long_clocks,
+    "short-clock": short_clocks,
     "running-clock": _running_clocks,
     "mixed-covariate-units": mixed_covariates,
     "reward-as-covariate": _reward_as_covariate,

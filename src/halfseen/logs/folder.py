@@ -86,6 +86,8 @@ def asking(place: Place) -> Iterator[None]:
 
 FOREIGN_TABLES = (".csv", ".tsv", ".txt", ".parquet")
 """Files of other programs that `halfseen convert` turns into logs by a mapping."""
+PACKED = (".gz", ".zip", ".zst", ".bz2", ".xz", ".7z", ".tar", ".tgz")
+"""Files that hold other files."""
 DATABASES = {".db": "sqlite", ".sqlite": "sqlite", ".sqlite3": "sqlite", ".duckdb": "duckdb"}
 """Names of databases in SQLAlchemy, by file extension."""
 MOST_PARTS = 64
@@ -171,7 +173,7 @@ def read_manifest(folder: Place) -> Folder:
     """
     refuse_no_folder(folder)
     file = folder / MANIFEST
-    missing = f"it is missing, so {folder} holds no logs; give a folder that Logs.write wrote"
+    missing = f"it is missing, so {folder} holds no logs; {_way_to(folder)}"
     with refused(file, "it cannot be read", "write the logs again", missing), asking(folder):
         manifest = json_of(read_text(file) if isinstance(file, Path) else file.read_text(encoding="utf-8"))
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
@@ -190,15 +192,29 @@ def read_manifest(folder: Place) -> Folder:
     return Folder(folder, rows, unit)
 
 
+def _way_to(folder: Place) -> str:
+    """Hint at the command that reads a folder which holds no logs."""
+    try:
+        is_none = isinstance(folder, Path) and not (folder / MANIFEST).exists()
+        has_tables = is_none and any(file.suffix.lower() in FOREIGN_TABLES for file in folder.iterdir())
+    except OSError:  # the reader of the manifest tells of it
+        has_tables = False
+    line = f"halfseen convert {shlex.quote(str(folder))} --mapping-template --out cell.toml"
+    return f"make a mapping of its tables: {line}" if has_tables else "give a folder that Logs.write wrote"
+
+
 def _way_in(file: Path) -> str:
     """Hint at the command that reads a file of another program."""
-    if file.suffix in FOREIGN_TABLES:
+    kind = file.suffix.lower()
+    if kind in PACKED:
+        return "unpack it, and read what it holds"
+    if kind in FOREIGN_TABLES:
         line = f"halfseen convert {shlex.quote(str(file))} --mapping-template --out cell.toml"
         return f"make a mapping of it: {line}"
-    if file.suffix in DATABASES:
-        url = shlex.quote(f"sql:{DATABASES[file.suffix]}:///{file}")
+    if kind in DATABASES:
+        url = shlex.quote(f"sql:{DATABASES[kind]}:///{file}")
         return f"read the database by its SELECTs: halfseen convert {url} --mapping cell.toml --out LOGS"
-    return "`halfseen convert --help` says which files are read"
+    return "`halfseen convert --help` says which files are read, by the end of their names"
 
 
 def refuse_no_folder(folder: Place) -> None:

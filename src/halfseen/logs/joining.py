@@ -5,6 +5,7 @@ No more than a few thousand trajectories are in memory.
 """
 
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from datetime import datetime
@@ -24,6 +25,7 @@ from halfseen.logs.missing import KEEP
 from halfseen.logs.parquet import MANIFEST, write_manifest
 from halfseen.logs.recorded import STILL_RUNNING
 from halfseen.logs.stream import TRAJECTORIES_AT_ONCE, read_logs
+from halfseen.reading import reason_of
 from halfseen.writing import placed, refuse_taken
 
 
@@ -47,7 +49,12 @@ def joined(parts: Sequence[Logs]) -> Logs:
     # Through Arrow: a column that is all null in one log has no type there, and takes that of the others.
     frames = {name: [part.tables[name] for part in parts] for name in parts[0].tables}
     arrow = {name: [pa.Table.from_pandas(each, preserve_index=False) for each in of] for name, of in frames.items()}
-    tables: Any = {name: pa.concat_tables(of, promote_options="permissive") for name, of in arrow.items()}
+    try:
+        tables: Any = {name: pa.concat_tables(of, promote_options="permissive") for name, of in arrow.items()}
+    except pa.ArrowException as error:
+        raise LogError(
+            f"the logs have columns of types that do not go together ({reason_of(error)}); give them one type"
+        ) from error
     missing = parts[0].missing if all(part.missing == parts[0].missing for part in parts) else None
     return Logs(**tables, reward_unit=common_unit(part.reward_unit for part in parts), missing=missing)
 
@@ -107,13 +114,21 @@ def write_stream(
                         f"{name}: column {shown(more[0])} comes with trajectory {shown(part.trajectory_ids[0])}, and "
                         "parts before it have none; give every part the same columns"
                     )
-                full = table.reindex(columns=schema.names)
-                writers[name].write_table(pa.Table.from_pandas(full, schema=schema, preserve_index=False))
+                writers[name].write_table(_of_schema(name, part, schema))
                 rows[name] += len(table)
         if not writers:
             raise ArgumentError("there is no part; give at least one log")
         stack.close()
         write_manifest(fresh, rows, unit)
+
+
+def _of_schema(name: str, part: Logs, schema: pa.Schema) -> pa.Table:
+    """A table of a part with the columns and types of a schema."""
+    try:
+        return pa.Table.from_pandas(part.tables[name].reindex(columns=schema.names), schema, preserve_index=False)
+    except pa.ArrowException as error:
+        trouble = f"does not fit the types of those before ({reason_of(error)}); give every part the same types"
+        raise LogError(f"{name}, from trajectory {shown(part.trajectory_ids[0])} on: it {trouble}") from error
 
 
 def _without_nulls(schema: pa.Schema) -> pa.Schema:
@@ -299,7 +314,7 @@ def since(logs: Logs, when: str | int | datetime) -> Logs:
         is_kept = _from_date(logs.trajectories[dates[0]], when)
     if is_kept is None or not is_kept.any():
         there = " to ".join(shown(logs.trajectory_ids[k]) for k in (0, -1))
-        there += f", or a date by its column {dates[0]!r}" if dates else ""
+        there += f", or a date by its column {dates[0]!r}, as 2026-01-31" if dates else ""
         raise ArgumentError(f"since is {when!s:.80}, and the log has no such trajectory; give the name of one, {there}")
     return logs if is_kept.all() else logs.select(logs.trajectory_ids[is_kept])
 
@@ -311,7 +326,10 @@ def _from_name(logs: Logs, when: Any) -> Any:
 
 
 def _from_date(dates: Any, when: Any) -> Any:
-    date: Any = pd.to_datetime(when, errors="coerce") if isinstance(when, str | datetime) else pd.NaT
+    # 1700 may be meant as a trajectory, and 05.01.2026 as either day.
+    if not isinstance(when, datetime) and not re.match(r"\d{4}-\d{2}-\d{2}", str(when)):
+        return None
+    date: Any = pd.to_datetime(when, format="ISO8601", errors="coerce")
     if pd.isna(date):
         return None
     if (date.tzinfo is None) != (dates.dt.tz is None):

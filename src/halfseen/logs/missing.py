@@ -175,7 +175,7 @@ def is_flag(name: str, names: Collection[str]) -> bool:
 
 def share_of(num_missing: int, num_stages: int) -> str:
     """Format the number of stages without a covariate: 12 of 400 stages (3 %)."""
-    return f"{num_missing:,} of {num_stages:,} stages ({100.0 * num_missing / num_stages:.2g} %)"
+    return f"{num_missing:,} of {num_stages:,} stages ({float(f'{100.0 * num_missing / num_stages:.2g}'):g} %)"
 
 
 def remedy_of(name: str) -> str:

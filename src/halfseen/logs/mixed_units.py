@@ -22,6 +22,10 @@ LONG_S = (900.0, 1e6)
 """Suspiciously long stages: from a quarter of an hour to below 12 days [s]."""
 
 
+SHORT_S = 1e-3
+"""Suspiciously short stages: below a millisecond [s]."""
+
+
 def mixed_clocks(logs: Logs) -> Iterator[str]:
     """Find trajectories whose stages last about a thousand times as long as those of others."""
     # Use a trajectory's mean, not its shortest stages: some actions take hardly any time.
@@ -43,6 +47,14 @@ def long_clocks(logs: Logs) -> Iterator[str]:
     if LONG_S[0] < middle_s < LONG_S[1]:
         hours = middle_s / 3600.0
         yield f"half of the stages last {middle_s:,.0f} s or more, which is {hours:.1f} h: are clocks in ms?"
+
+
+def short_clocks(logs: Logs) -> Iterator[str]:
+    """Find logs in which half of the stages last less than a millisecond."""
+    lasted_s = logs.durations_s()
+    middle_s = SHORT_S if np.isnan(lasted_s).all() else float(np.nanmedian(lasted_s))
+    if middle_s < SHORT_S:
+        yield f"half of the stages last {middle_s:.2g} s or less: are clocks in days, hours or thousands of seconds?"
 
 
 def mixed_covariates(logs: Logs) -> Iterator[str]:

@@ -29,6 +29,7 @@ from typing import Any, Protocol, runtime_checkable
 from halfseen.errors import ArgumentError, HalfseenError, LogError, did_you_mean
 from halfseen.logs.recorder import LogRecorder
 from halfseen.logs.trajectory_recorder import TrajectoryRecorder
+from halfseen.reading import named_once
 
 MOST_BYTES = 1_000_000
 """A longer line is refused and discarded."""
@@ -93,7 +94,7 @@ def call_of(line: bytes) -> tuple[str, dict[str, Any]]:
     if len(line) > MOST_BYTES:
         raise LogError(f"the line is longer than {MOST_BYTES} bytes; record less in a stage, such as a file's name")
     try:
-        given = json.loads(line, parse_constant=_no_number, object_pairs_hook=_once)
+        given = json.loads(line, parse_constant=_no_number, object_pairs_hook=named_once)
     except (ValueError, RecursionError) as error:
         reason = "it is nested too deep" if isinstance(error, RecursionError) else error
         raise LogError(f"the line is no JSON ({reason}); give one JSON object a line") from error
@@ -138,13 +139,6 @@ def _bounded(lines: Lines) -> Iterator[bytes]:
 
 def _no_number(word: str) -> Any:
     raise ValueError(f"{word} is no number")
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    values = dict(pairs)
-    if len(values) < len(pairs):
-        raise ValueError("a name is given twice in an object")
-    return values
 
 
 HOST = "127.0.0.1"

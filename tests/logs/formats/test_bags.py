@@ -177,6 +177,8 @@ B = text(3.0, "/action", "B")
         ([number(0.5, "/reward", 1.0), A, E], r"trajectory 1, stage 1: reward 1\.0 comes at 0 s with no action"),
         ([A, text(1.5, "/action", "B"), R, E], r"stage 1: action 'B' comes at 0\.5 s, yet 'A' before it has no"),
         ([A, R, B, E], r"trajectory 1, stage 2: the trajectory finished, yet the stage has no reward"),
+        ([A, R, text(3.0, "/end", "Finished")],
+         r"bag: trajectory 1, stage 2: ending 'Finished' differs from 'finished' only in spelling; name both in fin"),
         ([A, R, text(3.0, "/end", "finished"), E], r"trajectory 1: ending comes at 8 s, after .* at 2 s; map"),
         ([A, number(1.0, "/reward", 1.0), E], r"trajectory 1, stage 1: elapsed_s 0\.0 is no time after"),
         ([A, number(2.0, "/reward", np.nan), E], r"trajectory 1, stage 1: .*its reward is nan"),

@@ -22,7 +22,7 @@ from foreign import (
 )
 from halfseen.errors import HalfseenWarning, LogError
 from halfseen.logs.formats import StepRules, read_lerobot, read_minari, read_step_arrays, read_steps
-from halfseen.logs.formats.step_clocks import ends_by_observations, ends_by_steps
+from halfseen.logs.formats.step_clocks import ends_by_observations, ends_by_steps, refuse_rounded
 from refusals import refused
 
 FOUND = episodes(lengths=(3, 3, 3))
@@ -110,6 +110,14 @@ def test_a_clock_in_nanoseconds_or_microseconds_is_refused(tmp_path, read, per_s
     times = [0.0, *EACH] if read is not of_d4rl else EACH
     with refused(r"steps last \S+e\+\d+ s by its clock, in whole numbers, as if it counted nano.*--step-s", LogError):
         read(tmp_path, [[per_s * time for time in times]] * 3)
+
+
+@pytest.mark.parametrize("read", [of_rlds, of_minari])
+def test_a_clock_that_single_precision_rounds_is_refused(tmp_path, read):
+    ends = np.float32(1.7e9) + np.array([0.0, 130.0, 260.0, 390.0], dtype=np.float32)
+    with refused(r"t holds float32, which rounds its times to multiples of 128 s, and steps last 128 s; write it as"):
+        read(tmp_path, [list(ends)] * 3)
+    refuse_rounded("a", "t", ends - ends[0])
 
 
 def test_a_first_step_that_outlasts_the_episode_before_is_believed_and_told():

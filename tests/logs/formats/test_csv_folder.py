@@ -101,3 +101,27 @@ def test_what_is_wrong_is_told_with_file_row_and_column(folder, has_types):
         check_wrong(folder, "objects.csv", '"[0.0, 0.0]"', '"[0.0, 0.0"', told)
         for types, told in TYPES:
             check_wrong(folder, "columns.json", None, types, told)
+
+
+def test_text_among_numbers_is_refused_without_a_type(folder):
+    (folder / "columns.json").unlink()
+    file = folder / "stages.csv"
+    heading, *rows = file.read_text().splitlines()
+
+    def read(*cells):
+        given = [*cells, *["7"] * len(rows)]
+        file.write_text("\n".join([f"{heading},x", *(f"{row},{given[k]}" for k, row in enumerate(rows))]))
+        return read_csv(folder).stages["x"]
+
+    told = r"stages\.csv, row 2, column 'x': 'nan' is no number, though most cells of the column are; mend the cell"
+    with refused(told, LogError):
+        read("nan", "0.5", "0.5")
+    assert read("7", "0.5").tolist()[:2] == [7.0, 0.5]
+    assert read(*["tin", "can"] * len(rows)).tolist()[:2] == ["tin", "can"]
+
+
+def test_a_column_without_a_name_is_refused(folder):
+    file = folder / "stages.csv"
+    file.write_text("\n".join(f"{'' if k == 0 else k},{row}" for k, row in enumerate(file.read_text().splitlines())))
+    with refused(r"stages\.csv: column 1 has no name; name it, or leave it out if it only numbers the rows", LogError):
+        read_csv(folder)

@@ -214,7 +214,7 @@ def test_numbers_in_thousands_are_not_taken_for_fractions(read_table):
         ('"Zeit"', '"Datum"', r"cell\.toml, clock\.field: there is no column 'Datum'"),
         ('"Zeit"', '"Lauf"', r"line 2, column 'Lauf': '7' is a number; say clock.unit"),
         ('"Zeit"}', '"Zeit", zone = "Berlin"}', None),
-        ('"Zeit"}', '"Zeit", unit = "h"}', r"cell\.toml, clock\.unit: invalid enum value 'h'"),
+        ('"Zeit"}', '"Zeit", unit = "hr"}', r"cell\.toml, clock\.unit: invalid enum value 'hr'"),
         ('"Zeit"}', '"Zeit", unit = "s", format = "%d"}', r"clock\.format: dates have a format, and numbers a unit"),
         ('"Zeit"}', '"Zeit", since = "stage"}', r"cell\.toml, clock: begin, and since = 'stage'"),
         ('"Zeit"}', '"Zeit", since = "trajectory", begin = "Zeit"}', r"clock: since = 'trajectory' and begin = 'Zeit'"),
@@ -276,7 +276,7 @@ def test_the_mapping_that_is_made_from_a_table_reads_it(read_table, tmp_path, en
 def test_a_mapping_of_stages_and_of_a_plc_only_lacks_what_nobody_can_guess(read_table, tmp_path):
     (tmp_path / "wide.csv").write_text(WIDE)
     made = mapping_of(tmp_path / "wide.csv")
-    assert 'unit = "ms"  # guess: s, ms, us, ns or min' in made
+    assert 'unit = "ms"  # guess: s, ms, us, ns, min, h or d' in made
     assert 'since = "trajectory"  # guess: numbers count from there, or from the "stage"' in made.splitlines()
     assert ends(read_table(WIDE, made)) == [("a", 4.0, "finished", None), ("b", 2.5, "cut", "operator")]
     (tmp_path / "plc.csv").write_text(PLC)
@@ -316,7 +316,9 @@ def test_a_covariate_is_numbers_or_text_as_it_begins_or_as_it_is_said(read_table
     assert weights(["1", "7", "x", "x"], ', values = {x = "much"}') == ["1", "7", "much", "much"]
     with refused(r"line 5, column 'Wert': 'x' is no number of decimal mark ','"):
         weights(["1", "x", "7", "7"])
-    with refused(r"line 2, column 'Wert': 'NULL' is no number, and most of the column are; .* say values or type"):
+    with refused(
+        r"line 2, column 'Wert': 'NULL' is no number, and most of the column are; .* say values = \{\"NULL\" = nan\}"
+    ):
         weights(["NULL", "1.234,5", "7", "7"])
     with refused(r"line 2, column 'Wert': '0,5 kg' is a number with a unit; export it without, or say type = \"text\""):
         weights(["0,5 kg", "1.234 kg", "7 kg", "7 kg"])

@@ -3,8 +3,8 @@
 Reading order: `as_text` (columns as text, and what a format cannot store) → `csv_folder` → `older` (logs of version 1)
 → `mapping` (files that map topics or columns) → `sql_rows` → `steps` (steps of other datasets as stages) →
 `step_tables` → `lerobot_folder` → `step_arrays` → `minari` → `bag_files`, `bag_messages`, `bags` → `table_cells`,
-`ending_flags`, `event_tables` (any table, by a mapping as for bags), `event_template`. Optional libraries load on
-first use.
+`ending_flags`, `event_doubts`, `event_tables` (any table, by a mapping as for bags), `event_template`. Optional
+libraries load on first use.
 """
 
 from halfseen.logs.formats.as_text import Loss, losses

@@ -32,6 +32,7 @@ from halfseen.logs.formats.bag_messages import Event, check_topics, points_of, r
 from halfseen.logs.formats.mapping import BagMapping, read_mapping
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
+from halfseen.suggestions import folded
 
 CRASH = "crash"
 _COVARIATE = "covariates."
@@ -49,6 +50,7 @@ def read_bag(
     *,
     see: See | None = None,
     keep: Keep | None = None,
+    missing: Missing = None,
 ) -> Logs:
     """Read ROS bags as one log.
 
@@ -62,6 +64,8 @@ def read_bag(
         Turns the cloud of a stage into its objects; without it the log has none.
     keep
         Writes the cloud of a stage to a file, whose name goes into the stage's column ``cloud``.
+    missing
+        What replaces NaN in covariates, as in `Logs`.
 
     Returns
     -------
@@ -93,14 +97,15 @@ def read_bag(
             trajectory = Trajectory(num_begun if name is None else name, needed, mapping.ending.finished)
             if begin is not None:
                 trajectory.remedy = f"record a message of {begin} before it"
-            trajectory.follow(events)
+            with within(bag):
+                trajectory.follow(events)
             if is_seen(bag, trajectory):
                 of_bag.append(trajectory)
         if see is not None or keep is not None:
             objects += _objects(bag, of_bag, mapping, see, keep)
         found += [(trajectory, bag.name) for trajectory in of_bag]
     place, trajectories = ", ".join(map(str, files)), [each for each, _ in found]
-    return logs_of(place, mapping.file, trajectories, objects, bag=[bag for _, bag in found])
+    return logs_of(place, mapping.file, trajectories, objects, missing, bag=[bag for _, bag in found])
 
 
 def logs_of(
@@ -272,6 +277,10 @@ class Trajectory:
 
     def _end(self, stage: dict[str, Any], event: Event) -> None:
         if event.value not in self.finished:
+            meant = {folded(text): text for text in self.finished if isinstance(text, str)}
+            if isinstance(event.value, str) and folded(event.value) in meant:
+                same = shown(meant[folded(event.value)])
+                self._refuse(f"ending {shown(event.value)} differs from {same} only in spelling; name both in finished")
             self.ending, self.cause = CUT, str(event.value) or UNKNOWN_CAUSE
             return
         if "action" in stage or not self.stages:

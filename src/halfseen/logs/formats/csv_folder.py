@@ -18,8 +18,8 @@ these rules, in this order:
 2. If every cell is a whole number, the column holds whole numbers; but names such as ``007`` are text.
 3. Every cell a number: numbers. Every cell ``true`` or ``false``: booleans. Every cell a JSON list: lists. Names of
    trajectories, actions and objects are never any of these.
-4. Otherwise it holds text; but a covariate whose first cell is a number and a later one text is refused, since that is
-   more often a slip than a name. To keep it as text, give ``"string"`` in ``columns.json``.
+4. Otherwise it holds text; but a covariate with text among numbers, which come first or are most of its cells, is
+   refused, since that is more often a slip than a name. To keep it as text, give ``"string"`` in ``columns.json``.
 """
 
 import csv
@@ -152,6 +152,9 @@ def _read_cells(file: Path) -> pa.Table:
         broken = [name for name in header if len(name.splitlines()) > 1]
         if broken:
             raise LogError(f"{file}: the column {broken[0]!r} has a name of two lines; give it one")
+        if "" in map(str.strip, header):
+            trouble = f"column {[*map(str.strip, header)].index('') + 1} has no name"
+            raise LogError(f"{file}: {trouble}; name it, or leave it out if it only numbers the rows")
         refuse_repeated(file, header)
         convert = arrow_csv.ConvertOptions(
             column_types=dict.fromkeys(header, pa.string()),
@@ -200,14 +203,23 @@ def _guessed_type(file: Path, name: str, cells: Any) -> ColumnType:
             return kind
     if all(cell.startswith("[") for cell in different):
         return list_type(different) or "string"
-    if name not in OWN_NAMES and re.fullmatch(_NUMBER, different[0]):
-        wrong = next(cell for cell in different if not re.fullmatch(_NUMBER, cell))
-        raise LogError(
-            f"{_place(file, name, cells.to_pylist().index(wrong))}: {shown(wrong)} is no number, though the column "
-            f"begins with one; mend the cell, leave it empty if there is no value, or say 'string' for the column in "
-            f"{TYPES_FILE}"
-        )
+    if name not in OWN_NAMES:
+        refuse_text_among_numbers(file, name, cells, f", or say 'string' for the column in {TYPES_FILE}")
     return "string"
+
+
+def refuse_text_among_numbers(file: Path, name: str, cells: Any, remedy: str = "") -> None:
+    """Refuse a column of text that begins with a number, or of which most cells are numbers (`LogError`)."""
+    there = cells.drop_null().to_pylist()
+    numbers = {cell for cell in set(there) if re.fullmatch(_NUMBER, cell)}
+    is_most = 2 * sum(cell in numbers for cell in there) > len(there)
+    wrong = next((cell for cell in there if cell not in numbers), None)
+    if wrong is not None and (is_most or there[0] in numbers):
+        raise LogError(
+            f"{_place(file, name, cells.to_pylist().index(wrong))}: {shown(wrong)} is no number, though "
+            f"{'most cells of the column are' if is_most else 'the column begins with one'}; mend the cell, leave it "
+            f"empty if there is no value{remedy}"
+        )
 
 
 def _place(file: Path, name: str, row: int) -> str:

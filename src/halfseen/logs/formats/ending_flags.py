@@ -1,9 +1,10 @@
-"""Endings given as flags in the row of the action, such as ``terminated`` and ``truncated`` of Gymnasium.
+"""Truth values as text; endings as flags in the row of the action, such as ``terminated`` of Gymnasium.
 
 The flags of a row become one text: "finished", the cause of a cut, or empty. If both are true, the trajectory
 finished. A true flag before the last row is refused, like any ending that comes too early.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import msgspec
@@ -19,6 +20,13 @@ def are_flags(texts: list[str]) -> bool:
     """Whether all cells are true, false or empty, and at least one is false."""
     found = {text.lower() for text in texts}
     return found <= {*_TRUE, *_FALSE} and bool(found & {*_FALSE} - {""})
+
+
+def truths(texts: Sequence[str]) -> list[bool | None] | None:
+    """Texts as truth values, an empty one as None; None unless all others are true or false."""
+    meant = {"true": True, "false": False, "": None}
+    lowered = [text.lower() for text in texts]
+    return [meant[text] for text in lowered] if any(texts) and all(text in meant for text in lowered) else None
 
 
 def with_ending(cells: Cells, mapping: EventMapping, file: str) -> tuple[Cells, EventMapping]:

@@ -3,13 +3,14 @@
 A mapping has the same tables as for bags (`halfseen.logs.formats.bags`), and rows become stages as messages do:
 ``field`` is a column, and ``topic`` a row's text in the column of events. Without a column of events each row is a
 stage, and an empty cell carries no value. If trajectories have a column, each of their rows advances their clock,
-mapped or not. A trajectory without an ending was cut: "log ended".
+mapped or not. A trajectory without an ending was cut: "log ended". A clock of numbers may start again where an event
+begins a trajectory, as that of a controller does when it is restarted.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +20,31 @@ import pyarrow as pa
 from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.logs.columns import shown
 from halfseen.logs.formats import table_values
-from halfseen.logs.formats.bag_messages import Event
+from halfseen.logs.formats.bag_messages import JITTER_NS, Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
-from halfseen.logs.formats.ending_flags import are_flags, with_ending
-from halfseen.logs.formats.mapping import NUMBERS, Clock, Entry, EventMapping, read_event_mapping
-from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells
-from halfseen.logs.formats.table_values import BEGIN_LIKE, Marks, Stamps
+from halfseen.logs.formats.ending_flags import are_flags, truths, with_ending
+from halfseen.logs.formats.event_doubts import (
+    late_covariates,
+    refuse_respelled,
+    refuse_rounded,
+    warn_of_early,
+    warn_of_late,
+    warn_of_reordered,
+    warn_of_respelled_events,
+    warn_of_rows_apart,
+    warn_of_running_clock,
+)
+from halfseen.logs.formats.mapping import NUMBERS, Ending, Entry, EventMapping, read_event_mapping
+from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells, refuse_empty
+from halfseen.logs.formats.table_values import Marks, Stamps
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.shapes import Int
 
+EARLIEST_DATE_NS = 10**18
+"""Larger numbers are dates, which a restart of a controller does not set back [ns since 1970]."""
 LOG_ENDED = "log ended"
 """Cause of the cut of a trajectory without an ending."""
-FEWEST_ON_ONE_CLOCK = 5
-"""Number of trajectories with several stages that show that a clock runs on across trajectories."""
 
 
 def read_event_table(
@@ -48,7 +60,7 @@ def read_event_table(
     ----------
     source
         A ``.csv``, ``.tsv``, ``.txt`` or ``.parquet`` file, several with the same columns, such as one per day, or an
-        Arrow table.
+        Arrow table. Without ``[trajectory]``, each of several files is a trajectory of its name.
     mapping
         File that maps columns.
     place
@@ -66,23 +78,24 @@ def read_event_table(
     """
     wanted, file = read_event_mapping(mapping), str(mapping)
     cells = cells_of(place, source) if isinstance(source, pa.Table) else _read_files(source, wanted)
-    cells, wanted = with_ending(cells, wanted, file)
+    cells, wanted = with_ending(refuse_empty(cells), wanted, file)
     _check_columns(cells, wanted, file)
+    warn_of_respelled_events(cells, wanted)
     cells = cells if wanted.topic is None else _without_repeats(cells)
-    needed = {name: _origin(wanted, f"covariates.{name}") for name in wanted.covariates}
+    needed = {name: wanted.origin(f"covariates.{name}") for name in wanted.covariates}
     late: Counter[str] = Counter()
     finishing, remedy = wanted.ending.finishing, _remedy_after_ending(cells, wanted)
     found = []
     for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
-        late.update(_late_covariates(events))
+        late.update(late_covariates(events))
         called = number if name is None else name
         trajectory = Trajectory(called, needed, finishing, cause=LOG_ENDED, remedy=remedy)
         trajectory.follow(events)
         if is_seen(Path(cells.file), trajectory):
             found.append(trajectory)
-    _warn_of_late(cells, wanted, late)
+    warn_of_late(cells, wanted, late)
     if wanted.clock.since == "trajectory":
-        _warn_of_running_clock(cells, wanted.clock, found)
+        warn_of_running_clock(cells, wanted.clock, found)
     return logs_of(cells.file, file, found, missing=missing)
 
 
@@ -90,21 +103,24 @@ def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> C
     """Read one file, or several and concatenate their rows."""
     if isinstance(source, str | Path):
         return read_cells(Path(source), mapping.table)
-    tables = [read_cells(file, mapping.table) for file in source]
+    tables = [read_cells(file, mapping.table) for file in source if not file.is_file() or file.stat().st_size]
+    tables = [each for each in tables if len(each.rows)]
+    if empty := sorted({*map(str, source)} - {each.file for each in tables}):
+        warn(empty[0], f"{len(empty)} of {len(source)} files have no rows, and are passed over; this is the first")
+    if not tables:
+        raise LogError(f"{source[0].parent}: none of its tables has a row; give one at least")
     first, *others = tables
     for each in others:
-        if list(each.columns) != list(first.columns) or each.layout.separator != first.layout.separator:
-            names = ", ".join(map(shown, each.columns))
-            raise LogError(f"{each.file}: its columns are {names}, and not those of {first.file}; convert each alone")
+        differing = sorted(each.columns.keys() ^ first.columns.keys())
+        if differing or each.layout.separator != first.layout.separator:
+            names = ", ".join(map(shown, differing)) or f"separated by {each.layout.separator!r}"
+            raise LogError(f"{each.file}: its columns are not those of {first.file} ({names}); convert each alone")
     columns = {name: [text for each in tables for text in each.columns[name]] for name in first.columns}
-    places = [f"{Path(each.file).name}, {each.word} {row}" for each in tables for row in each.rows]
-    return Cells(str(source[0].parent), columns, places, first.layout, "file")
-
-
-def _origin(mapping: EventMapping, key: str) -> str:
-    """Source of a value for messages: its events, or its column."""
-    topics = mapping.entries[key].topics
-    return " or ".join(map(shown, topics)) if topics else f"column {mapping.column(key)!r}"
+    are_alone = len({Path(each.file).name for each in tables}) == len(tables)
+    names = [Path(each.file).name if are_alone else each.file for each in tables]
+    places = [f"{name}, {each.word} {row}" for name, each in zip(names, tables, strict=True) for row in each.rows]
+    unread = {name: kind for each in tables for name, kind in each.unread.items()}
+    return Cells(str(source[0].parent), columns, places, first.layout, "file", unread)
 
 
 def _remedy_after_ending(cells: Cells, mapping: EventMapping) -> str:
@@ -114,8 +130,9 @@ def _remedy_after_ending(cells: Cells, mapping: EventMapping) -> str:
         return f'column {column!r} is true or false, so say finished = {{field = "{column}"}} in [ending]'
     if mapping.trajectory is None:
         return "map [trajectory], the column of its name or the event that begins it, if there are several"
-    last = "the ending must be last by the clock"
-    return f"{last}; mend the times, or have {_origin(mapping, 'trajectory')} tell the trajectories apart"
+    last = "the ending must be last by the clock; mend the times"
+    last += "" if mapping.topic is not None else f", leave column {column!r} empty in all rows but the last"
+    return f"{last}, or have {mapping.origin('trajectory')} tell the trajectories apart"
 
 
 def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
@@ -156,7 +173,8 @@ def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tu
     values_of = _values(cells, mapping, marks)
     has_begins, since, ending_texts = mapping.has_begins, mapping.clock.since, cells.columns[mapping.column("ending")]
     groups = _groups(cells, mapping, values_of, stamps)
-    _warn_of_reordered(cells, groups.values(), stamps, mapping)
+    warn_of_rows_apart(cells, groups, mapping)
+    warn_of_reordered(cells, groups, stamps, mapping)
     for name, unordered in groups.items():
         rows, times = _in_order(unordered, stamps, mapping)
         events = [] if begins is None or has_begins else [Event(int(begins[rows[0]]), "begin", None)]
@@ -170,7 +188,7 @@ def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tu
         if not has_begins:
             yield name, events
             continue
-        _warn_of_early(cells, events)
+        warn_of_early(cells, events)
         for begun, following in split(Path(cells.file), [events], mapping.column("trajectory"), file):
             yield begun, following if since is None else [Event(0, "begin", None), *following]
 
@@ -225,6 +243,7 @@ def _rows_that_tell(cells: Cells, mapping: EventMapping, key: str) -> list[int]:
 def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int], marks: Marks) -> list[Any]:
     """Read the cells of one column: numbers, or names, as whole numbers if all are; a covariate may be null."""
     texts, known, is_covariate = cells.columns[column], entry.values, "." in key
+    refuse_respelled(cells, rows, column, [*known, *(entry.finishing if isinstance(entry, Ending) else ())])
     first = next((known.get(texts[row], texts[row]) for row in rows if texts[row]), "")
     has_text = any(
         isinstance(value, str) and table_values.plain_number(value, marks) is None for value in known.values()
@@ -244,22 +263,35 @@ def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int]
             cells.refuse(row, column, f"is no {key}; give one, or leave the row out")
     if is_covariate and entry.type is None:
         table_values.refuse_most_numbers(cells, [row for row in rows if texts[row] not in known], column)
+    if is_covariate and entry.type is None and not known:
+        return truths([texts[row] for row in rows]) or [texts[row] or None for row in rows]
     if is_covariate:
         return [str(known[text]) if (text := texts[row]) in known else text or None for row in rows]
     names = [str(known.get(texts[row], texts[row])) for row in rows]
-    are_whole = key != "ending" and all(map(table_values.WHOLE.fullmatch, names))
-    return list(map(int, names)) if are_whole else names
+    if key == "ending":
+        return names
+    refuse_rounded(cells, rows, column)
+    return table_values.whole_numbers(names) or names
 
 
 def _groups(
     cells: Cells, mapping: EventMapping, values_of: list[list[tuple[str, Any]]], stamps: Stamps
 ) -> dict[Any, list[int]]:
-    """Rows by the name of their trajectory; all rows if there is one trajectory or if events begin trajectories."""
+    """Rows by the name of their trajectory; by the run of their clock if events begin trajectories."""
     steps = np.diff(stamps)
     is_newest_first = mapping.clock.since is None and bool((steps <= 0).all() and (steps < 0).any())
     order = range(len(stamps))[:: -1 if is_newest_first else 1]
-    if mapping.trajectory is None or mapping.has_begins:
+    is_date = mapping.clock.unit is None or bool((stamps >= EARLIEST_DATE_NS).any())
+    if mapping.has_begins and mapping.clock.since is None and not is_date:
+        runs = _runs(list(order), stamps, values_of)
+        for first, *_ in runs[1:2]:
+            trouble = f"the clock starts again, and a trajectory begins, as it does {len(runs) - 1:,} times in all"
+            warn(cells.place(first), f"{trouble}; rows below are taken for later ones")
+        return dict(enumerate(runs))
+    if mapping.has_begins or (mapping.trajectory is None and cells.word != "file"):
         return {None: list(order)}
+    if mapping.trajectory is None:
+        return {name: list(rows) for name, rows in groupby(order, lambda row: str(cells.rows[row]).rpartition(", ")[0])}
     column = mapping.column("trajectory")
     texts = cells.columns[column]
     rows = [row for row in order if texts[row] or values_of[row]]
@@ -269,6 +301,30 @@ def _groups(
     return groups
 
 
+def _runs(rows: list[int], stamps: Stamps, values_of: list[list[tuple[str, Any]]]) -> list[list[int]]:
+    """Split rows where the clock falls back, and stays back until a trajectory begins, as where a controller starts."""
+    runs, highest = [rows[:1]], int(stamps[rows[0]])
+    for k in range(1, len(rows)):
+        time_ns, limit_ns = int(stamps[rows[k]]), highest - JITTER_NS
+        if time_ns < limit_ns and _begins_below(k, limit_ns, rows, stamps, values_of):
+            runs.append([])
+            highest = time_ns
+        runs[-1].append(rows[k])
+        highest = max(highest, time_ns)
+    return runs
+
+
+def _begins_below(
+    k: int, limit_ns: int, rows: list[int], stamps: Stamps, values_of: list[list[tuple[str, Any]]]
+) -> bool:
+    """Whether a trajectory begins from row k on, before anything else is done and the clock reaches a limit [ns]."""
+    for at in range(k, len(rows)):
+        keys = {key for key, _ in values_of[rows[at]]}
+        if stamps[rows[at]] >= limit_ns or keys & {"trajectory", "action", "reward", "ending"}:
+            return "trajectory" in keys and bool(stamps[rows[at]] < limit_ns)
+    return False
+
+
 def _in_order(rows: list[int], stamps: Stamps, mapping: EventMapping) -> tuple[list[int], Int[np.ndarray, " some"]]:
     """Sort rows by their clock, stable for equal times; with these times [ns]."""
     since, times = mapping.clock.since, stamps[rows]
@@ -276,51 +332,3 @@ def _in_order(rows: list[int], stamps: Stamps, mapping: EventMapping) -> tuple[l
         return rows, np.cumsum(times)
     order = np.argsort(times, kind="stable") if since is None or not mapping.has_begins else np.arange(len(rows))
     return [rows[k] for k in order.tolist()], times[order]
-
-
-def _warn_of_reordered(cells: Cells, groups: Iterable[list[int]], stamps: Stamps, mapping: EventMapping) -> None:
-    if mapping.clock.since == "stage" or (mapping.clock.since is not None and mapping.has_begins):
-        return
-    late = [rows[k + 1] for rows in groups for k in np.flatnonzero(np.diff(stamps[rows]) < 0).tolist()]
-    if late:
-        rest = f"; so it is in {len(late):,} rows" if len(late) > 1 else ""
-        early = f"the time is before that of the row above{rest}"
-        warn(cells.place(late[0]), f"{early}; rows are put in order of time")
-
-
-def _late_covariates(events: list[Event]) -> Iterator[str]:
-    """Keys of covariates with the time of an action that come after it in the file."""
-    begun_ns: int | None = None
-    for event in events:
-        if event.key in ("action", "reward", "ending"):
-            begun_ns = event.stamp_ns if event.key == "action" else None
-        elif event.key.startswith("covariates.") and event.stamp_ns == begun_ns:
-            yield event.key
-
-
-def _warn_of_late(cells: Cells, mapping: EventMapping, late: Counter[str]) -> None:
-    if late:
-        names = ", ".join(_origin(mapping, key) for key in late)
-        warn(
-            cells.file,
-            f"{late.total():,} values of {names} stand at the time of an action, but after it in the file: the value "
-            "before was taken; write them before the action if they had been seen by then",
-        )
-
-
-def _warn_of_running_clock(cells: Cells, clock: Clock, found: list[Trajectory]) -> None:
-    """Warn about one clock for all trajectories if times should count from the beginning of each."""
-    spans = sorted((each.end_s, each.stages[0]["elapsed_s"]) for each in found if len(each.stages) > 1)
-    if len(spans) >= FEWEST_ON_ONE_CLOCK and all(end_s < first_s for (end_s, _), (_, first_s) in pairwise(spans)):
-        begin = next(filter(BEGIN_LIKE.search, cells.columns), "COLUMN")
-        warn(
-            f"{cells.file}, column {clock.fields[-1]!r}",
-            'times run on over trajectories, and do not count since each began; in place of since = "trajectory", say '
-            f'begin = "{begin}", the column of the time at which a stage began, with that of its end as field',
-        )
-
-
-def _warn_of_early(cells: Cells, events: list[Event]) -> None:
-    num_early = next((k for k, event in enumerate(events) if event.key == "trajectory"), 0)
-    if num_early:
-        warn(cells.file, f"{num_early} values come before the first beginning of a trajectory; they are left out")

@@ -14,7 +14,7 @@ from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
 from halfseen.logs.formats.ending_flags import are_flags
 from halfseen.logs.formats.mapping import Layout
-from halfseen.logs.formats.table_cells import TYPED_FILES, Cells, heading_of, read_cells
+from halfseen.logs.formats.table_cells import TYPED_FILES, Cells, heading_of, read_cells, refuse_empty
 from halfseen.logs.formats.table_values import (
     BEGIN_LIKE,
     ISO,
@@ -39,11 +39,10 @@ _LIKE = {
     "ending": r"ende?$|ending|ergebnis|outcome|result|abbruch|schluss|stop|cause|grund|ursache|fault|fehler|stör|status"
     r"|^fine?$|résult|risult|causa|motif|arrêt|terminat|truncat",
 }
-"""Patterns of column names for each key, in the order in which columns are assigned, as engineers write them in
-German, English, French, Spanish or Italian."""
+"""Patterns of column names for each key, in order of assignment: German, English, French, Spanish, Italian."""
 _EVENTS_LIKE = {
-    "trajectory": r"^(start|begin|anfang|début|inicio|inizio)",
-    "ending": r"^end|^fine?$|stop|finish|fertig|abbruch|not-?halt|arrêt|parada|arresto",
+    "trajectory": r"^(start|begin|anfang|début|inicio|inizio)|[^a-z](start(ed)?|begin|begun|anfang)$",
+    "ending": r"^end|[^a-z]end(e|ed)?$|^fine?$|stop|finish|fertig|abbruch|not-?halt|arrêt|parada|arresto",
     "reward": r"reward|ertrag|place|ablage|abgelegt|result|ergebnis|drop|success|^n?ok$|^(n\.?)?i\.?o\.?$"
     r"|dépo|depó|depos|résult",
     "action": r"griff|greif|pick|gras?p|grip|a[kc]tion|prise|agarre|presa|acción|azione",
@@ -59,9 +58,9 @@ _KNOWN_LATER = re.compile(f"{_LIKE['ending']}|{_END_TIME_LIKE.pattern}|^is_(firs
 """Pattern of columns that are no covariates because they are known only after the action."""
 _FINISHED_LIKE = re.compile(r"fertig|finish|done|complet|success|^ok$|^ende?$|termin|réussi", re.IGNORECASE)
 """Pattern of events and endings that are no cut."""
-_ISO_8601 = "ISO8601"
 _DAYS = ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y", "%d.%m.%y", "%d/%m/%y", "%m/%d/%y")
-_TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
+_DAYS += ("%d-%b-%Y", "%d-%b-%y")
+_TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M %p")
 _ROWS_LOOKED_AT = 1000
 
 
@@ -88,12 +87,12 @@ def mapping_of(file: str | Path) -> str:
 def _read(file: Path) -> Cells:
     """Read a table whose heading may be below other lines, and find its thousands separator."""
     try:
-        cells = read_cells(file, Layout())
+        cells = refuse_empty(read_cells(file, Layout()))
     except LogError:
         heading = 1 if file.suffix in TYPED_FILES or not file.is_file() else heading_of(file)
         if heading == 1:
             raise
-        cells = read_cells(file, Layout(heading=heading))
+        cells = refuse_empty(read_cells(file, Layout(heading=heading)))
     return replace(cells, layout=msgspec.structs.replace(cells.layout, thousands=thousands_mark(cells)))
 
 
@@ -157,7 +156,10 @@ def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, l
     """Lines of the mapping."""
     yield f"# What the columns of {file} carry, for: halfseen convert {shlex.quote(file)} --mapping THIS --out LOGS"
     yield "# Each guess is marked: check it, mend it, complete what is missing, and leave out what is not recorded."
+    yield from (f"# Column {shown(name)} holds {kind}, which is not read." for name, kind in cells.unread.items())
     topics = list(dict.fromkeys(cells.columns[found["topic"]])) if "topic" in found else []
+    if side_by_side := _side_by_side(cells, found):
+        yield f"# {', '.join(map(shown, side_by_side))} look like stages side by side: write one row a stage first."
     if topics:
         yield from ("", "# Column of what happened, one row an event; without it each row is a stage.")
         yield f"topic = {_guess(cells, found['topic'])}"
@@ -171,15 +173,22 @@ def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, l
         if cells.layout.heading > 1:
             yield f"heading = {cells.layout.heading}  # guess: the line that names the columns"
     yield from ("", "[clock]", *_clock_lines(cells, found, bool(topics), parts))
-    like = {key: [one for one in topics if re.search(words, one, re.IGNORECASE)] for key, words in _EVENTS_LIKE.items()}
+    like = _events_like(topics)
     for key in ("trajectory", "action", "object", "probability", "reward", "ending"):
         topic = [] if key == "trajectory" and key in found else like.get(key, [])
         if key == "ending" and "ending.finished" in found and not topic:
             yield from ("", *_flag_lines(cells, found))
         elif key in found or topic or key in ("action", "reward", "ending"):
             yield from ("", *_entry_lines(cells, key, found, topic))
-    taken = {one for each in like.values() for one in each}
-    yield from _covariate_lines(cells, found, [one for one in topics if one not in taken])
+    yield from _covariate_lines(cells, found, [one for one in topics if not any(one in each for each in like.values())])
+
+
+def _events_like(topics: list[str]) -> dict[str, list[str]]:
+    """The events of each key; one of an action's result is no action, and one of its beginning or end no ending."""
+    like = {key: [one for one in topics if re.search(words, one, re.IGNORECASE)] for key, words in _EVENTS_LIKE.items()}
+    for key, other in (("action", "reward"), ("trajectory", "action"), ("ending", "action")):
+        like[key] = [one for one in like[key] if one not in like[other]] or like[key]
+    return like
 
 
 def _decimal_line(cells: Cells) -> str:
@@ -198,16 +207,15 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
     yield f"field = {_guessed_time(cells, name, parts)}"
     formats = _date_formats(cells.columns[name])
     if not formats:
-        unit = re.search(r"(?<![a-z])(ms|us|ns|min|s)\W*$", name)
-        yield f'unit = "{unit[1] if unit else "s"}"  # guess: s, ms, us, ns or min'
+        yield f'unit = "{_unit(name, cells.columns[name])}"  # guess: s, ms, us, ns, min, h or d'
         begin = found.get("clock.begin")
         since = 'since = "trajectory"  # guess: numbers count from there, or from the "stage"'
-        yield ("# " if has_topic else "") + since if begin is None else _begin_line(cells, begin, parts)
+        yield ("# " if has_topic else "") + since if begin is None else f"begin = {_guessed_time(cells, begin, parts)}"
         return
     if len(formats) > 1:
         yield "# The order of day and month is not to be guessed; choose one:"
     yield from (
-        f"{'# ' if len(formats) > 1 else ''}format = {_quoted(one)}  # guess" for one in formats if one != _ISO_8601
+        f"{'# ' if len(formats) > 1 else ''}format = {_quoted(one)}  # guess" for one in formats if one != "ISO8601"
     )
     if all(map(TIME_OF_DAY.fullmatch, cells.columns[name])):
         yield "# They have no date: the next day begins where they fall back past midnight."
@@ -216,17 +224,24 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
     if not has_topic:
         yield "# Column of the time at which a stage began."
         begin = found.get("clock.begin")
-        yield ('# begin = "COLUMN"  # no column looks like it' if begin is None else _begin_line(cells, begin, parts))
+        yield (
+            '# begin = "COLUMN"  # no column looks like it'
+            if begin is None
+            else f"begin = {_guessed_time(cells, begin, parts)}"
+        )
 
 
-def _begin_line(cells: Cells, begin: str, parts: dict[str, list[str]]) -> str:
-    return f"begin = {_guessed_time(cells, begin, parts)}"
+def _unit(name: str, texts: Sequence[str]) -> str:
+    """The unit of a column's name; or of dates as a spreadsheet counts them since 1900, or others since 1970."""
+    unit = re.search(r"(?<![a-z])(ms|us|ns|min|s|h)\W*$", name)
+    are_days = all(re.fullmatch(r"[2-7]\d{4}[.,]\d+", text) for text in texts)
+    lengths = {len(re.split("[.,]", text)[0]) for text in texts}
+    return unit[1] if unit else "d" if are_days else {13: "ms", 16: "us", 19: "ns"}.get(min(lengths), "s")
 
 
 def _guessed_time(cells: Cells, name: str, parts: dict[str, list[str]]) -> str:
     """The guessed columns of a time."""
-    columns = json.dumps(parts.get(name, name), ensure_ascii=False)
-    return _guess(cells, name).replace(_quoted(name), columns, 1)
+    return _guess(cells, name).replace(_quoted(name), json.dumps(parts.get(name, name), ensure_ascii=False), 1)
 
 
 def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]) -> Iterator[str]:
@@ -284,9 +299,17 @@ def _rows(cells: Cells, found: dict[str, str], topic: list[str]) -> list[int]:
     return [row for row in range(len(cells.rows)) if not topic or cells.columns[found["topic"]][row] in topic]
 
 
+def _side_by_side(cells: Cells, found: dict[str, str]) -> list[str]:
+    """Columns of text whose names differ from that of the action only in a number; none without others."""
+    stem, *others = (re.sub(r"\d+", "#", name) for name in (found.get("action", ""), *cells.columns))
+    alike = [name for name, other in zip(cells.columns, others, strict=True) if other == stem]
+    return [] if len(alike) < 2 or any(map(is_numeric, filter(None, cells.columns[alike[1]]))) else alike
+
+
 def _filled(cells: Cells, found: dict[str, str], key: str, rows: list[int]) -> str | None:
     """A column that is filled in all given rows: the one found for the key, or else the first."""
     others = {found.get(other) for other in ("topic", "clock.field", "trajectory") if other != key}
+    others |= {name for name, texts in cells.columns.items() if len(texts) > 1 and len(set(texts)) == 1}
     ways = [name for name in cells.columns if name not in others and all(cells.columns[name][row] for row in rows)]
     numeric = [name for name in ways if all(is_numeric(cells.columns[name][row]) for row in rows)]
     texts = [name for name in ways if name not in numeric]
@@ -316,7 +339,7 @@ def _date_formats(texts: Sequence[str]) -> list[str]:
     """The date formats that fit all of the first texts; none if they are not dates."""
     some = pd.Series(list(dict.fromkeys(texts))[:_ROWS_LOOKED_AT], dtype=object)
     if some.map(lambda text: ISO.fullmatch(text) is not None).all():
-        return [_ISO_8601]
+        return ["ISO8601"]
     if ":" not in some.iloc[0]:
         return []
     days = [f"{day} {time}" for day in _DAYS for time in _TIMES]

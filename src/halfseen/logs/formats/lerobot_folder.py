@@ -29,6 +29,7 @@ from halfseen.logs.formats.step_clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.step_tables import as_array, read_tables, whole_table
 from halfseen.logs.formats.steps import Ending, StepColumns, StepRules, StepTable, begins_of, refuse_early, require
 from halfseen.logs.logs import Logs
+from halfseen.logs.missing import Missing
 from halfseen.logs.parquet import parquet_file
 from halfseen.reading import json_of, read_text, reason_of
 from halfseen.shapes import Bool, Float, Int
@@ -43,7 +44,7 @@ _PICTURES = ("image", "video")
 _BOOKKEEPING = (EPISODE, TASK_INDEX, TIMESTAMP, "frame_index", "index")
 
 
-def read_lerobot(folder: str | Path, rules: StepRules | None = None) -> Logs:
+def read_lerobot(folder: str | Path, rules: StepRules | None = None, *, missing: Missing = None) -> Logs:
     """Read a LeRobot dataset (v3) from its folder.
 
     Parameters
@@ -55,6 +56,8 @@ def read_lerobot(folder: str | Path, rules: StepRules | None = None) -> Logs:
         above), and the time of each frame (frame number by ``fps``); and the handling of an episode that was truncated
         or has no recorded ending. An episode that has ``next.truncated`` and ends without any flag broke off: it was
         cut (cause ``unknown``).
+    missing
+        What replaces null in covariates, as in `Logs`.
 
     Returns
     -------
@@ -89,7 +92,7 @@ def read_lerobot(folder: str | Path, rules: StepRules | None = None) -> Logs:
         ends_s=_ends(steps, info.fps, rules, begins),
         endings=_endings(steps, rules, begins),
     )
-    return table.logs(place)
+    return table.logs(place, missing)
 
 
 class Info(msgspec.Struct):

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import msgspec
 
 from halfseen.errors import ArgumentError
-from halfseen.logs.columns import FINISHED, STAGE_COLUMNS
+from halfseen.logs.columns import FINISHED, STAGE_COLUMNS, shown
 from halfseen.reading import read_text, reason_of, toml_of
 
 Of = TypeVar("Of")
@@ -177,7 +177,8 @@ class Clock(msgspec.Struct, **Given):
     and the next day begins where they fall back past midnight."""
     zone: str | None = None
     """Time zone of dates without one, such as ``Europe/Berlin``."""
-    unit: Literal["s", "ms", "us", "ns", "min"] | None = None
+    unit: Literal["s", "ms", "us", "ns", "min", "h", "d"] | None = None
+    """Unit of numeric times; ``d`` also for dates that a spreadsheet wrote as days since 1900."""
     since: Literal["trajectory", "stage"] | None = None
     """Origin of numeric times: the beginning of the trajectory or of the stage; None for a clock of their own."""
     begin: str | list[str] | None = None
@@ -244,7 +245,7 @@ class EventMapping(msgspec.Struct, **Given):
     topic
         Column of events; None if each row is a stage.
     trajectory
-        Column of its name, or the event that begins it; None if the table is one trajectory.
+        Column of its name, or the event that begins it; None if each file is one trajectory.
     object, probability, covariates
         Optional entries.
     table
@@ -270,6 +271,11 @@ class EventMapping(msgspec.Struct, **Given):
     def column(self, key: str) -> str:
         """The column of a mapped entry."""
         return str(self.entries[key].field or self.topic)
+
+    def origin(self, key: str) -> str:
+        """Source of a value for messages: its events, or its column."""
+        topics = self.entries[key].topics
+        return " or ".join(map(shown, topics)) if topics else f"column {self.column(key)!r}"
 
     @property
     def has_begins(self) -> bool:
@@ -310,6 +316,11 @@ def _troubles_of_table(mapping: EventMapping) -> Iterator[tuple[str, str]]:
         )
     if clock.format is not None and (clock.unit or clock.since):
         yield "clock.format", "dates have a format, and numbers a unit; leave one of the two out"
+    hours = {each[-1] for each in re.findall("%.", clock.format or "")}
+    if "p" in hours and "I" not in hours:
+        yield "clock.format", "%p says nothing beside %H, so that 01:00 PM is read as 01:00; say %I in place of %H"
+    if "I" in hours and "p" not in hours:
+        yield "clock.format", "%I is an hour from 1 to 12, which needs %p; say %H, or add %p"
     if mapping.topic is None and clock.since is None and clock.begin is None:
         yield "clock.begin", "it is missing; name the column of the beginning of a stage, or say since what times count"
     if clock.since is not None and clock.begin is not None:

@@ -39,6 +39,7 @@ from halfseen.logs.formats.as_text import MINARI, ColumnType, column_types, from
 from halfseen.logs.formats.step_arrays import read_episodes
 from halfseen.logs.formats.steps import StepRules
 from halfseen.logs.logs import Logs
+from halfseen.logs.missing import Missing
 from halfseen.reading import TABLE, check_file, reason_of
 from halfseen.writing import placed
 
@@ -184,22 +185,25 @@ def _buffer(minari: Any, note: Note, steps: dict[str, np.ndarray]) -> Any:
     )
 
 
-def read_minari(dataset: Any, *, clock: str | None = None, step_s: float | None = None, truncated: str = CUT) -> Logs:
+def read_minari(
+    dataset: Any,
+    *,
+    clock: str | None = None,
+    step_s: float | None = None,
+    truncated: str = CUT,
+    missing: Missing = None,
+) -> Logs:
     """Read a Minari dataset from `write_minari` or another program.
 
     Parameters
     ----------
     dataset
         A ``minari.MinariDataset``, or the name or folder of one.
-    clock
-        Only for datasets of other programs: the info with the time of each observation [s], one more than there are
-        steps, or of the end of each step.
-    step_s
-        Only for datasets of other programs, without `clock`: duration of a step [s]; 1 s, with a warning, if neither
-        is given.
-    truncated
-        Only for datasets of other programs: ending of an episode that was only truncated, "cut" or "finished" (at its
-        horizon).
+    clock, step_s, truncated
+        Only for datasets of other programs, as in `StepRules`; the clock is the info with the time of each observation
+        [s], one more than there are steps, or of the end of each step.
+    missing
+        What replaces null in covariates, as in `Logs`.
 
     Returns
     -------
@@ -227,8 +231,8 @@ def read_minari(dataset: Any, *, clock: str | None = None, step_s: float | None 
                 "out"
             )
         if KEY in metadata:
-            return _read_own(dataset, json.loads(metadata[KEY]))
-        return read_episodes(dataset, f"dataset {name}", rules)
+            return _read_own(dataset, json.loads(metadata[KEY]), missing)
+        return read_episodes(dataset, f"dataset {name}", rules, missing)
     except (HalfseenError, MemoryError):
         raise
     except Exception as error:  # h5py raises nearly anything
@@ -237,7 +241,7 @@ def read_minari(dataset: Any, *, clock: str | None = None, step_s: float | None 
         ) from error
 
 
-def _read_own(dataset: Any, metadata: dict[str, Any]) -> Logs:
+def _read_own(dataset: Any, metadata: dict[str, Any], missing: Missing) -> Logs:
     types = metadata["types"]
     if metadata["version"] != VERSION:
         raise ValueError(f"version {metadata['version']} is not the {VERSION} that this halfseen reads")
@@ -251,7 +255,7 @@ def _read_own(dataset: Any, metadata: dict[str, Any]) -> Logs:
     rows = {"trajectories": [note["trajectory"] for note in notes], "stages": [stage["cells"] for stage in stages]}
     rows["objects"] = [cells for stage in stages for cells in stage.get("objects", ())]
     tables: dict[str, Any] = {name: _frame(rows[name], kinds) for name, kinds in types.items()}
-    return Logs(**tables, reward_unit=metadata.get("reward_unit"))
+    return Logs(**tables, reward_unit=metadata.get("reward_unit"), missing=missing)
 
 
 def _note(episode: Any, trajectory: Cells, metadata: dict[str, Any]) -> Note:

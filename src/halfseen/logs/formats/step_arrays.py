@@ -20,9 +20,10 @@ import numpy as np
 from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.installation import extra
 from halfseen.logs.columns import CUT
-from halfseen.logs.formats.step_clocks import ends_by_steps, even_ends
+from halfseen.logs.formats.step_clocks import ends_by_steps, even_ends, refuse_rounded
 from halfseen.logs.formats.steps import Ending, StepColumns, StepRules, StepTable, columns_of, refuse_early, require
 from halfseen.logs.logs import Logs
+from halfseen.logs.missing import Missing
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, refused
 from halfseen.shapes import Float, Shaped
 
@@ -32,7 +33,7 @@ MOST_GROUPS = 1000
 """Largest number of groups at one level, since groups may contain one another."""
 
 
-def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
+def read_step_arrays(file: str | Path, rules: StepRules | None = None, *, missing: Missing = None) -> Logs:
     """Read an HDF5 file of steps, such as those of D4RL.
 
     Parameters
@@ -43,6 +44,8 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
         Arrays of the action (default: ``actions``), the reward (``rewards``), the episode's own end (``terminals``)
         and the clock at the end of each step (by default every step counts as 1 s, with a warning); and whether a
         timeout is a cut or the horizon.
+    missing
+        What replaces null in covariates, as in `Logs`.
 
     Returns
     -------
@@ -91,7 +94,7 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
         ends_s=ends_s,
         endings=rules.endings(is_terminal[ends - 1], is_timeout[ends - 1], (CUT, END_OF_DATA)),
     )
-    return table.logs(place)
+    return table.logs(place, missing)
 
 
 def _arrays(file: Path, names: dict[str, str]) -> dict[str, np.ndarray]:
@@ -188,7 +191,7 @@ def _following(steps: StepColumns, observed: Mapping[str, Any]) -> dict[str, np.
 # Minari.
 
 
-def read_episodes(dataset: Any, name: str, rules: StepRules) -> Logs:
+def read_episodes(dataset: Any, name: str, rules: StepRules, missing: Missing = None) -> Logs:
     """Read a Minari dataset without halfseen's own metadata; see `halfseen.logs.formats.read_minari`."""
     _check_spaces(dataset, name)
     episodes = list(dataset)
@@ -207,7 +210,7 @@ def read_episodes(dataset: Any, name: str, rules: StepRules) -> Logs:
         ends_s=_ends_of_episodes(episodes, name, rules),
         endings=_endings_of_episodes(episodes, names, name, rules),
     )
-    return table.logs(name)
+    return table.logs(name, missing)
 
 
 def _check_spaces(dataset: Any, name: str) -> None:
@@ -267,6 +270,7 @@ def _clock(episode: Any, clock: str, place: str) -> Float[np.ndarray, " T"]:
             f"{place}: info {clock!r} is {values.dtype} of shape {values.shape}, no time for each of {num_steps} steps "
             "[s]; name another clock"
         )
+    refuse_rounded(place, clock, values)
     return values.astype(np.float64)
 
 

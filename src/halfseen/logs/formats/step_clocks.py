@@ -69,6 +69,19 @@ def ends_by_steps(
     return [one - begin_s for one, begin_s in zip(times_s, begins_s, strict=True)]
 
 
+def refuse_rounded(place: str, clock: str, times_s: Float[np.ndarray, " N"]) -> None:
+    """Refuse a clock of single precision whose rounding is a tenth of a step or more (`LogError`); N times [s]."""
+    steps_s = np.abs(np.diff(times_s.astype(np.float64)))
+    if times_s.dtype.kind != "f" or not (steps_s > 0).any():
+        return
+    rounding_s, step_s = float(np.spacing(np.abs(times_s).max())), float(np.median(steps_s[steps_s > 0]))
+    if times_s.dtype.itemsize < 8 and rounding_s >= step_s / 10:
+        raise LogError(
+            f"{place}: {clock} holds {times_s.dtype}, which rounds its times to multiples of {rounding_s:g} s, and "
+            f"steps last {step_s:g} s; write it as float64, or let it begin at 0 in each episode"
+        )
+
+
 def refuse_counts(place: str, ends_s: Float[np.ndarray, " M"], num_steps: Int[np.ndarray, " E"]) -> None:
     """Refuse whole numbers that cannot be seconds, given M ends of steps [s] in E episodes.
 

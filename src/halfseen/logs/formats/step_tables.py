@@ -9,7 +9,7 @@ have no meaning and are not read. An episode whose last row is not ``is_last`` b
 import mmap
 import re
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +20,12 @@ import pyarrow.csv as arrow_csv
 from halfseen.errors import LogError, warn
 from halfseen.logs.columns import refuse_repeated, shown
 from halfseen.logs.formats.as_text import from_list_texts
-from halfseen.logs.formats.csv_folder import read_cells
+from halfseen.logs.formats.csv_folder import read_cells, refuse_text_among_numbers
 from halfseen.logs.formats.quotes import check_quotes
 from halfseen.logs.formats.step_clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.steps import StepColumns, StepRules, StepTable, begins_of, refuse_early, require
 from halfseen.logs.logs import Logs
+from halfseen.logs.missing import Missing
 from halfseen.logs.parquet import parquet_file
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, opened_text, refused
 from halfseen.shapes import Bool, Float, Int, Shaped
@@ -37,7 +38,9 @@ _COMPRESSED = re.compile(rb"\x28\xb5\x2f\xfd|\x04\x22\x4d\x18", re.DOTALL)
 """First bytes of an Arrow buffer compressed by zstd or lz4; the eight bytes before are its uncompressed size."""
 
 
-def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None = None) -> Logs:
+def read_steps(
+    files: str | Path | Sequence[str | Path], rules: StepRules | None = None, *, missing: Missing = None
+) -> Logs:
     """Read a step table.
 
     Parameters
@@ -48,6 +51,8 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
         Columns of the action (default: ``action``), the reward (``reward``), whether the episode reached its own end
         (``is_terminal``) and the time of each row (default: every step counts as 1 s, with a warning); and the ending
         of an episode that did not reach its own.
+    missing
+        What replaces null in covariates, as in `Logs`.
 
     Returns
     -------
@@ -64,8 +69,8 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
     paths = [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
     rules = StepRules() if rules is None else rules
     place = ", ".join(map(str, paths[:3])) + (f" and {len(paths) - 3} more" if len(paths) > 3 else "")
-    table = _flattened(place, read_tables(paths))
     named = {"action": "action", "reward": "reward", "done": TERMINAL} | rules.named
+    table = _flattened(place, read_tables(paths, names=(named["action"], *EPISODES)))
     require(place, table.column_names, {"end of an episode": LAST}, "add it")
     require(place, table.column_names, named)
     label = next((name for name in EPISODES if name in table.column_names), None)
@@ -94,7 +99,7 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
         name = shown(names[int(np.argmax(wrong))])
         raise LogError(f"{place}, episode {name}: its last row terminates it and is not {LAST}; mend one of the two")
     endings = rules.endings(is_terminal[last], is_last[last])
-    return StepTable(names, begins, is_step, observed, actions, rewards[is_step], ends_s, endings).logs(place)
+    return StepTable(names, begins, is_step, observed, actions, rewards[is_step], ends_s, endings).logs(place, missing)
 
 
 def _episodes(steps: StepColumns, label: str | None) -> tuple[list[int | str], Int[np.ndarray, " E1"]]:
@@ -157,8 +162,17 @@ def _warn_of_unread(
         )
 
 
-def read_tables(files: Sequence[Path], columns: Iterable[str] | None = None) -> pa.Table:
-    """Concatenate Parquet, CSV or Arrow files of one table; from Parquet, read only `columns`, or all if None.
+def read_tables(files: Sequence[Path], columns: Iterable[str] | None = None, names: Collection[str] = ()) -> pa.Table:
+    """Concatenate Parquet, CSV or Arrow files of one table.
+
+    Parameters
+    ----------
+    files
+        The files, in order.
+    columns
+        Columns to read from Parquet; None for all.
+    names
+        Columns of names: in CSV, numbers that begin with 0 are text there.
 
     Raises
     ------
@@ -166,7 +180,7 @@ def read_tables(files: Sequence[Path], columns: Iterable[str] | None = None) -> 
         A file is missing, broken, too large, or has other columns than the first; or no file has a row.
     """
     wanted = None if columns is None else list(columns)
-    tables = [_read(file, wanted) for file in files]
+    tables = [_read(file, wanted, names) for file in files]
     for file, table in zip(files, tables, strict=True):
         if not table.schema.equals(tables[0].schema):
             differing = set(table.schema) ^ set(tables[0].schema)
@@ -204,12 +218,13 @@ def whole_table(file: Path) -> Any:
     return refused(file, "it is no whole table", "mend it, or copy or export it again", missing)
 
 
-def _read(file: Path, columns: list[str] | None) -> pa.Table:
+def _read(file: Path, columns: list[str] | None, names: Collection[str]) -> pa.Table:
     with whole_table(file):
-        if file.suffix == ".parquet":
+        kind = file.suffix.lower()
+        if kind == ".parquet":
             table = parquet_file(file).read(columns)
         else:
-            table = _csv(file) if file.suffix == ".csv" else _arrow(file)
+            table = _csv(file, names) if kind == ".csv" else _arrow(file)
     missing = [name for name in columns or () if name not in table.column_names]
     if missing:
         raise LogError(
@@ -219,14 +234,29 @@ def _read(file: Path, columns: list[str] | None) -> pa.Table:
     return table.replace_schema_metadata(None)
 
 
-def _csv(file: Path) -> pa.Table:
+def _csv(file: Path, names: Collection[str]) -> pa.Table:
     with opened_text(file, TABLE) as lines:
         check_quotes(file, lines)
     with opened(file, TABLE) as bytes_in:
         convert = arrow_csv.ConvertOptions(null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False)
         table = read_cells(bytes_in, convert)
+    for name in table.column_names:
+        if pa.types.is_integer(table.schema.field(name).type) and name in names:
+            table = table.set_column(table.column_names.index(name), name, _names(file, name, table[name]))
+        elif name.startswith(SEEN) and pa.types.is_string(table.schema.field(name).type):
+            refuse_text_among_numbers(file, name, table[name])
     lists = {name: from_list_texts(table[name]) for name in table.column_names}
     return pa.table({name: table[name] if lists[name] is None else lists[name] for name in table.column_names})
+
+
+def _names(file: Path, name: str, numbers: Any) -> Any:
+    """A column of whole numbers, as text if one of them begins with 0, as in 007."""
+    with opened(file, TABLE) as bytes_in:
+        convert = arrow_csv.ConvertOptions(
+            include_columns=[name], column_types={name: pa.string()}, null_values=[""], strings_can_be_null=True
+        )
+        texts = read_cells(bytes_in, convert)[name]
+    return texts if any(re.match(r"-?0\d", text) for text in texts.drop_null().to_pylist()) else numbers
 
 
 def _arrow(file: Path) -> pa.Table:

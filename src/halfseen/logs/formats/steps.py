@@ -18,8 +18,9 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, LogError, warn, within
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
-from halfseen.logs.formats.step_clocks import refuse_counts
+from halfseen.logs.formats.step_clocks import refuse_counts, refuse_rounded
 from halfseen.logs.logs import Logs
+from halfseen.logs.missing import Missing
 from halfseen.shapes import Bool, Float, Int, Shaped
 
 TRUNCATED = "truncated"
@@ -110,6 +111,8 @@ class StepColumns:
                 f"{self.place}: {name} holds {values.dtype} of shape {values.shape[1:]}, and not {_MEANT[role]} for "
                 f"each step; name another column as {role}"
             )
+        if role == "clock":
+            refuse_rounded(self.place, name, flat)
         return flat.astype(np.float64)
 
     def flags(self, name: str) -> Bool[np.ndarray, " N"]:
@@ -192,8 +195,8 @@ class StepTable:
     """End of each step since its episode began [s], shape (M,)."""
     endings: Sequence[Ending]
 
-    def logs(self, place: str) -> Logs:
-        """Convert each episode to a trajectory; `place` names the dataset in messages.
+    def logs(self, place: str, missing: Missing = None) -> Logs:
+        """Convert each episode to a trajectory; `place` names the dataset in messages, `missing` is as in `Logs`.
 
         Raises
         ------
@@ -215,7 +218,11 @@ class StepTable:
             "cause": [cause for _, cause in self.endings],
         }
         with within(place):
-            return Logs(self._stages(np.array([ending == CUT for ending in ends["ending"]])), pd.DataFrame(ends))
+            return Logs(
+                self._stages(np.array([ending == CUT for ending in ends["ending"]])),
+                pd.DataFrame(ends),
+                missing=missing,
+            )
 
     def _stages(self, is_cut: Bool[np.ndarray, " E"]) -> Any:
         """Build the stages; a cut falls into the last row of its episode, and the reward of that row is ignored."""

@@ -8,16 +8,17 @@ import csv
 import io
 import re
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import msgspec
+import numpy as np
 import pyarrow as pa
 
-from halfseen.errors import ArgumentError, LogError, did_you_mean
+from halfseen.errors import ArgumentError, LogError, did_you_mean, warn
 from halfseen.logs.columns import refuse_repeated, shown
 from halfseen.logs.formats.mapping import Layout
 from halfseen.logs.formats.quotes import check_quotes
@@ -28,6 +29,8 @@ from halfseen.reading import TABLE, opened, reason_of
 TEXT_FILES, TYPED_FILES, SHEETS = (".csv", ".tsv", ".txt"), (".parquet",), (".xlsx", ".xls", ".ods")
 SEPARATORS = (";", ",", "\t", "|")
 ROWS_LOOKED_AT = 50
+_LATIN_IN_UTF_8 = re.compile(rb"\xc3[\x80-\xbf]")
+"""A letter with an accent in UTF-8, which in Windows-1252 is Ã and a sign."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,8 @@ class Cells:
     layout: Layout
     word: str = "line"
     """Word for a row in messages: line, row if the file has no lines, or file if there are several."""
+    unread: Mapping[str, str] = field(default_factory=dict)
+    """Types of the columns that have no text form."""
 
     def place(self, row: int, column: str | None = None) -> str:
         """Name a row or a cell."""
@@ -53,10 +58,11 @@ class Cells:
 
 def is_event_table(file: Path, is_mapped: bool) -> bool:
     """Whether to read a file by a mapping: it is a table, and a mapping is given or it is not a step table."""
-    if is_mapped or file.suffix not in (".csv", *TYPED_FILES):
-        return file.suffix in (*TEXT_FILES, *TYPED_FILES, *SHEETS)
+    kind = file.suffix.lower()
+    if is_mapped or kind not in (".csv", *TYPED_FILES):
+        return kind in (*TEXT_FILES, *TYPED_FILES, *SHEETS)
     try:
-        if file.suffix in TYPED_FILES:
+        if kind in TYPED_FILES:
             return LAST not in parquet_file(file).schema_arrow.names
         with opened(file, TABLE) as held:
             return LAST.encode() not in held.readline(ROWS_LOOKED_AT * 1000)
@@ -65,7 +71,7 @@ def is_event_table(file: Path, is_mapped: bool) -> bool:
 
 
 def read_cells(file: Path, layout: Layout) -> Cells:
-    """Read a text or Parquet file.
+    """Read a text or Parquet file; it may have no rows.
 
     Raises
     ------
@@ -75,11 +81,11 @@ def read_cells(file: Path, layout: Layout) -> Cells:
         It is missing or broken, a row and the heading differ in their number of cells, or the layout is not found.
     """
     refuse_workbook(file)
-    if file.suffix in TYPED_FILES:
+    if file.suffix.lower() in TYPED_FILES:
         with whole_table(file):
             table = parquet_file(file).read()
         return cells_of(str(file), table)
-    if file.suffix not in TEXT_FILES:
+    if file.suffix.lower() not in TEXT_FILES:
         raise ArgumentError(f"{file}: a mapping of columns is for {', '.join((*TEXT_FILES, *TYPED_FILES))}; export one")
     with whole_table(file), opened(file, TABLE) as held:
         content = held.read()
@@ -89,27 +95,49 @@ def read_cells(file: Path, layout: Layout) -> Cells:
 
 def refuse_workbook(file: Path) -> None:
     """Refuse spreadsheet files (`ArgumentError`)."""
-    if file.suffix in SHEETS:
+    if file.suffix.lower() in SHEETS:
         raise ArgumentError(f"{file}: workbooks are not read; save the sheet as CSV UTF-8, and convert that file")
 
 
 def cells_of(place: str, table: pa.Table) -> Cells:
     """Convert the columns of an Arrow table to text: times as ISO 8601, null as an empty string.
 
+    Columns without a text form are passed over; durations are, too, since their text does not tell their unit.
+
     Raises
     ------
     LogError
-        The type of a column has no text form, or there is no row.
+        A name is empty or repeated.
     """
-    columns = {}
+    columns, unread = {}, {}
     for name, column in zip(table.column_names, table.columns, strict=True):
         try:
-            values = column.combine_chunks()
-            values = values.dictionary_decode() if pa.types.is_dictionary(column.type) else values
-            columns[name] = [(cell or "").strip() for cell in values.cast(pa.string()).to_pylist()]
-        except (pa.ArrowException, ValueError, NotImplementedError) as error:
-            raise LogError(f"{place}: column {name!r} holds {column.type}, which is not read; drop it") from error
-    return _checked(Cells(place, columns, range(1, table.num_rows + 1), Layout(decimal="."), "row"), table.column_names)
+            columns[name] = _texts_of(column)
+        except (pa.ArrowException, ValueError, NotImplementedError):
+            unread[name] = str(column.type)
+            continue
+        _warn_of_rounded(f"{place}, column {name!r}", column)
+    rows = range(1, table.num_rows + 1)
+    return _checked(Cells(place, columns, rows, Layout(decimal="."), "row", unread), table.column_names)
+
+
+def _texts_of(column: Any) -> list[str]:
+    values = column.combine_chunks()
+    values = values.dictionary_decode() if pa.types.is_dictionary(column.type) else values
+    if pa.types.is_duration(values.type):
+        raise NotImplementedError("a duration has no text that tells its unit")
+    return [(cell or "").strip() for cell in values.cast(pa.string()).to_pylist()]
+
+
+def _warn_of_rounded(where: str, column: Any) -> None:
+    """Warn about fractions so large that their type rounds them to every other whole number, or coarser."""
+    if not (pa.types.is_float32(column.type) or pa.types.is_float64(column.type)):
+        return
+    sizes = np.abs(column.to_numpy())
+    most = np.max(sizes, initial=0.0, where=np.isfinite(sizes))
+    if np.spacing(most) > 1:
+        trouble = f"it holds {sizes.dtype}, which rounds {most:.9g} to multiples of {np.spacing(most):g}"
+        warn(where, f"{trouble}; export it in a wider type, or as whole numbers or text")
 
 
 def _decoded(file: Path, content: bytes, encoding: str | None) -> tuple[str, str]:
@@ -122,6 +150,9 @@ def _decoded(file: Path, content: bytes, encoding: str | None) -> tuple[str, str
             return content.decode(name), name
         except UnicodeDecodeError as error:
             trouble = f"line {content[: error.start].count(10) + 1}: bytes {content[error.start : error.end]!r}"
+            if name == "utf-8" and encoding is None and _LATIN_IN_UTF_8.search(content):
+                remedy = "mend them, or say table.encoding"
+                raise LogError(f"{file}, {trouble} are no UTF-8, though other bytes are; {remedy}") from error
     raise LogError(f"{file}, {trouble} are no {encoding or names[-1]}; say table.encoding, or export it as UTF-8")
 
 
@@ -174,6 +205,11 @@ def _checked(cells: Cells, names: list[str]) -> Cells:
     refuse_repeated(cells.file, names)
     if "" in names:
         raise LogError(f"{cells.file}: column {names.index('') + 1} has no name; give it one, or say table.heading")
+    return cells
+
+
+def refuse_empty(cells: Cells) -> Cells:
+    """Refuse a table without rows (`LogError`)."""
     if not len(cells.rows):
         raise LogError(f"{cells.file}: there is no row below the heading; give a table with one at least")
     return cells
@@ -210,6 +246,9 @@ def heading_of(file: Path) -> int:
 
 def check_column(cells: Cells, name: str, asked_by: str) -> None:
     """Refuse the name of a missing column (`ArgumentError`); `asked_by` is the place in the mapping that names it."""
+    if name in cells.unread:
+        kind = cells.unread[name]
+        raise ArgumentError(f"{asked_by}: column {name!r} of {cells.file} holds {kind}; convert it to numbers or text")
     if name not in cells.columns:
         there = ", ".join(map(repr, list(cells.columns)[:20]))
         ending = did_you_mean(name, cells.columns) or "; name one of them"

@@ -19,10 +19,13 @@ from halfseen.reading import reason_of
 from halfseen.shapes import Int
 
 WHOLE = re.compile(r"-?(0|[1-9][0-9]{0,17})")
+_WHOLE_AS_FRACTION = re.compile(rf"({WHOLE.pattern})([.,]0+)?")
+_OF_FEW_DIGITS = re.compile(r"\d([.,]\d{1,6})?[eE]\+?(0?[7-9]|[1-9]\d)")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d{1,3})?")
 _FRACTION = {mark: re.compile(rf"[-+]?\d*{re.escape(mark)}\d+([eE][-+]?\d+)?") for mark in ".,"}
 _IN_THOUSANDS = {mark: re.compile(rf"[-+]?[1-9]\d{{0,2}}({re.escape(mark)}\d{{3}})+") for mark in ".,"}
 _GROUPED = re.compile(r"[-+]?\d{1,3}[.,'\u2019 \u00a0\u202f]\d{3}(?!\d)")
+_MISSING_LIKE = ("nan", "na", "n/a", "#n/a", "#nv", "nv", "null", "none", "nil", "-", "--", "---", "?")
 _WITH_UNIT = re.compile(r"([-+\d][\d.,'\u2019 ]*\d|\d) ?([^\W\d]{1,4}|%|°[CF]?)")
 _OTHER = {".": ",", ",": "."}
 _BETWEEN = {".": r"\.", ",": ",", "'": "['\u2019]", " ": "[ \u00a0\u202f]"}
@@ -94,7 +97,7 @@ def is_numeric(cell: str) -> bool:
 
 def plain_number(cell: str, marks: Marks) -> str | None:
     """A number as Python writes it; None if the cell is not a number with these marks."""
-    whole, mark, rest = cell.partition(marks.decimal)
+    whole, mark, rest = cell.replace("\u2212", "-").partition(marks.decimal)
     if marks.thousands:
         between = _BETWEEN[marks.thousands]
         if re.fullmatch(rf"[-+]?[1-9]\d{{0,2}}({between}\d{{3}})+", whole):
@@ -102,6 +105,12 @@ def plain_number(cell: str, marks: Marks) -> str | None:
     text = f"{whole}.{rest}" if mark else whole
     is_number = "." not in whole + rest and _NUMBER.fullmatch(text) is not None
     return text if is_number else None
+
+
+def whole_numbers(names: Sequence[str]) -> list[int] | None:
+    """Names as whole numbers, also where fractions of 0 were added to them; None unless all are."""
+    found = [_WHOLE_AS_FRACTION.fullmatch(name) for name in names]
+    return [int(each[1]) for each in found if each] if all(found) else None
 
 
 def number_at(cells: Cells, row: int, column: str, marks: Marks) -> float:
@@ -116,9 +125,16 @@ def number_at(cells: Cells, row: int, column: str, marks: Marks) -> float:
     value = float(plain_number(cell, marks) or "nan")
     if not np.isfinite(value):
         mark = grouped_by(cell)
-        remedy = f'or say table.thousands = "{mark}" in the mapping' if mark else "or say values, type or table.decimal"
-        cells.refuse(row, column, f"is no number of decimal mark {marks.decimal!r}; mend it, {remedy}")
+        remedy = f'say table.thousands = "{mark}" in the mapping' if mark else "say values, type or table.decimal"
+        remedy = _remedy_if_missing(cell) or remedy
+        cells.refuse(row, column, f"is no number of decimal mark {marks.decimal!r}; mend it, or {remedy}")
     return value
+
+
+def _remedy_if_missing(cell: str) -> str:
+    """The remedy for a text that looks like a missing value; empty for any other."""
+    is_missing = cell.lower() in _MISSING_LIKE
+    return f'if it is missing, leave it empty, or say values = {{"{cell}" = nan}} of a covariate' if is_missing else ""
 
 
 def refuse_most_numbers(cells: Cells, rows: Sequence[int], column: str) -> None:
@@ -126,7 +142,8 @@ def refuse_most_numbers(cells: Cells, rows: Sequence[int], column: str) -> None:
     there = [row for row in rows if cells.columns[column][row]]
     others = [row for row in there if not is_numeric(cells.columns[column][row])]
     if others and 2 * len(others) < len(there):
-        cells.refuse(others[0], column, "is no number, and most of the column are; mend it, or say values or type")
+        remedy = _remedy_if_missing(cells.columns[column][others[0]]) or "say values or type"
+        cells.refuse(others[0], column, f"is no number, and most of the column are; mend it, or {remedy}")
     found = [_WITH_UNIT.fullmatch(cells.columns[column][row]) for row in there]
     units = {match and is_numeric(match[1]) and match[2] for match in found}
     if len(units) == 1 and units.pop() and len({match and match[1] for match in found}) > 1:
@@ -134,14 +151,17 @@ def refuse_most_numbers(cells: Cells, rows: Sequence[int], column: str) -> None:
 
 
 NANOSECONDS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9}
+NANOSECONDS |= {"h": 3600 * 10**9, "d": 86400 * 10**9}
 ISO = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?)?( ?(Z|[+-]\d\d:?\d\d))?")
 _ZONED = re.compile(r":.*(Z|[+-]\d\d:?\d\d)$")
 _HOUR_NS = 3600 * 10**9
 _DAY_ALONE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}")
 TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d{1,9})?)?( ?[AaPp][Mm])?")
-BEGIN_LIKE = re.compile(r"beg[ia]n|start|anfang|début|inicio|inizio", re.IGNORECASE)
+BEGIN_LIKE = re.compile(r"beg[ia]n|start|anfang|début|inicio|inizio|^(von|from)$", re.IGNORECASE)
 """Pattern of column names of begin times, in German, English, French, Spanish or Italian."""
 _HAS_DAY = re.compile(r"(?<!%)(%%)*%[djcxs]")
+_HAS_YEAR = re.compile(r"(?<!%)(%%)*%[YyGcxs]")
+_HALF_A_YEAR_NS = 183 * 24 * _HOUR_NS
 Stamps: TypeAlias = Int[np.ndarray, " rows"]
 """Times [ns]."""
 
@@ -163,7 +183,7 @@ def stamps_ns(cells: Cells, columns: Sequence[str], clock: Clock, marks: Marks) 
     if clock.unit is not None:
         return _counted(cells, column, NANOSECONDS[clock.unit], marks)
     if clock.since is not None:
-        cells.refuse(0, column, "counts since a beginning; say clock.unit: s, ms, us, ns or min")
+        cells.refuse(0, column, "counts since a beginning; say clock.unit: s, ms, us, ns, min, h or d")
     written = pd.Series(texts, dtype=object)
     if clock.format is None:
         _refuse_not_iso(cells, column)
@@ -180,7 +200,18 @@ def stamps_ns(cells: Cells, columns: Sequence[str], clock: Clock, marks: Marks) 
     if message:
         warn(f"{cells.file}, column {column!r}", message)
     stamps = _dates(cells, column, written, clock, bool(is_zoned.all()))
+    if not is_of_day and clock.format is not None and not _HAS_YEAR.search(clock.format):
+        _refuse_new_year(cells, column, stamps)
     return _over_midnight(cells, column, stamps) if is_of_day else stamps
+
+
+def _refuse_new_year(cells: Cells, column: str, stamps: Stamps) -> None:
+    """Refuse dates without a year on both sides of a new year (`LogError`)."""
+    is_apart = np.abs(np.diff(stamps)) > _HALF_A_YEAR_NS
+    if is_apart.any():
+        row = int(np.argmax(is_apart)) + 1
+        before = shown(cells.columns[column][row - 1])
+        cells.refuse(row, column, f"stands after {before}, and clock.format has no year; export times with their year")
 
 
 def joined(cells: Cells, columns: Sequence[str]) -> tuple[Cells, str]:
@@ -263,7 +294,7 @@ def _refuse_not_iso(cells: Cells, column: str) -> None:
     if not cell:
         cells.refuse(row, column, "is no time; every row needs one")
     if is_numeric(cell):
-        cells.refuse(row, column, "is a number; say clock.unit: s, ms, us, ns or min")
+        cells.refuse(row, column, "is a number; say clock.unit: s, ms, us, ns, min, h or d")
     if TIME_OF_DAY.fullmatch(cell):
         dates = _column_of(cells, _DAY_ALONE)
         way = "" if dates is None else f"{_both(dates, column)} and "
@@ -293,6 +324,9 @@ def _dates(cells: Cells, column: str, written: Any, clock: Clock, is_zoned: bool
 
 
 def _counted(cells: Cells, column: str, factor: int, marks: Marks) -> Stamps:
+    rounded = next((cell for cell in cells.columns[column] if _OF_FEW_DIGITS.fullmatch(cell)), None)
+    if rounded is not None:
+        warn(f"{cells.file}, column {column!r}", f"times such as {rounded!r} are rounded; export them with all digits")
     stamps = np.zeros(len(cells.rows), dtype=np.int64)
     for row, cell in enumerate(cells.columns[column]):
         if (number := plain_number(cell, marks)) is None:

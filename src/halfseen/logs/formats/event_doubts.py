@@ -1,0 +1,126 @@
+"""Doubts about tables of events and of stages: refused where the log would be wrong, otherwise warned of."""
+
+import re
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from halfseen.errors import warn
+from halfseen.logs.columns import shown
+from halfseen.logs.formats.bag_messages import Event
+from halfseen.logs.formats.bags import Trajectory
+from halfseen.logs.formats.mapping import Clock, EventMapping
+from halfseen.logs.formats.table_cells import Cells
+from halfseen.logs.formats.table_values import BEGIN_LIKE, Stamps
+from halfseen.suggestions import folded
+
+_ROUNDED = re.compile(r"-?\d([.,]\d+)?[eE]\+\d+")
+FEWEST_ON_ONE_CLOCK = 5
+"""Number of trajectories with several stages that show that a clock runs on across trajectories."""
+
+
+Groups: TypeAlias = Mapping[Any, list[int]]
+"""Rows by the name of their trajectory."""
+
+
+def refuse_rounded(cells: Cells, rows: Sequence[int], column: str) -> None:
+    """Refuse a name in exponent notation, as spreadsheets round long numbers (`LogError`)."""
+    row = next((row for row in rows if _ROUNDED.fullmatch(cells.columns[column][row])), None)
+    if row is not None:
+        cells.refuse(row, column, "is a rounded number, for which several names may stand; export the column as text")
+
+
+def refuse_respelled(cells: Cells, rows: Sequence[int], column: str, known: Collection[str]) -> None:
+    """Refuse a text that differs only in spelling from one that the mapping names (`LogError`)."""
+    spellings = {folded(text): text for text in known if text}
+    texts = {cells.columns[column][row]: row for row in rows} if spellings else {}
+    for text, row in texts.items():
+        meant = spellings.get(folded(text))
+        if meant is not None and text not in known:
+            cells.refuse(
+                row, column, f"differs from {shown(meant)} of the mapping only in spelling; name it there, too"
+            )
+
+
+def warn_of_respelled_events(cells: Cells, mapping: EventMapping) -> None:
+    """Warn about events that are not mapped, and whose name differs only in spelling from a mapped one."""
+    mapped = {topic for entry in mapping.entries.values() for topic in entry.topics}
+    spellings = {folded(topic): topic for topic in mapped}
+    events = Counter(cells.columns[mapping.topic]) if mapping.topic is not None and mapped else Counter[str]()
+    for event, count in events.items():
+        meant = spellings.get(folded(event))
+        if meant is not None and event not in mapped:
+            trouble = f"{count:,} events {shown(event)} are not mapped, and differ from {shown(meant)} only in spelling"
+            warn(cells.file, f"{trouble}; name them in the mapping, too, if they are the same")
+
+
+def warn_of_rows_apart(cells: Cells, groups: Groups, mapping: EventMapping) -> None:
+    """Warn about trajectories whose rows do not stand together: their names may have been used again."""
+    if mapping.topic is not None and mapping.clock.since is None:
+        return
+    order = np.sort(np.concatenate([np.asarray(rows, dtype=np.int64) for rows in groups.values()]))
+    places = {name: np.searchsorted(order, rows) for name, rows in groups.items()}
+    breaks = {name: np.flatnonzero(np.abs(np.diff(at)) > 1) for name, at in places.items()}
+    apart = [(groups[name][at[0] + 1], name) for name, at in breaks.items() if len(at)]
+    if apart:
+        row, name = apart[0]
+        warn(
+            cells.place(row),
+            f"rows of trajectory {shown(name)} stand apart, with others between; so they do in {len(apart):,} of "
+            f"{len(groups):,} trajectories, and each is taken for one: if names were used again, convert each part "
+            "alone, and join the logs",
+        )
+
+
+def warn_of_reordered(cells: Cells, groups: Groups, stamps: Stamps, mapping: EventMapping) -> None:
+    """Warn about rows above which a later time stands."""
+    if mapping.clock.since == "stage" or (mapping.clock.since is not None and mapping.has_begins):
+        return
+    late = [rows[k + 1] for rows in groups.values() for k in np.flatnonzero(np.diff(stamps[rows]) < 0).tolist()]
+    if late:
+        rest = f"; so it is in {len(late):,} rows" if len(late) > 1 else ""
+        early = f"the time is before that of the row above{rest}"
+        warn(cells.place(late[0]), f"{early}; rows are put in order of time")
+
+
+def late_covariates(events: list[Event]) -> Iterator[str]:
+    """Keys of covariates with the time of an action that come after it in the file."""
+    begun_ns: int | None = None
+    for event in events:
+        if event.key in ("action", "reward", "ending"):
+            begun_ns = event.stamp_ns if event.key == "action" else None
+        elif event.key.startswith("covariates.") and event.stamp_ns == begun_ns:
+            yield event.key
+
+
+def warn_of_late(cells: Cells, mapping: EventMapping, late: Counter[str]) -> None:
+    """Warn about covariates whose value before was taken, as counted by `late_covariates`."""
+    if late:
+        names = ", ".join(mapping.origin(key) for key in late)
+        warn(
+            cells.file,
+            f"{late.total():,} values of {names} stand at the time of an action, but after it in the file: the value "
+            "before was taken; write them before the action if they had been seen by then",
+        )
+
+
+def warn_of_running_clock(cells: Cells, clock: Clock, found: list[Trajectory]) -> None:
+    """Warn about one clock for all trajectories if times should count from the beginning of each."""
+    spans = sorted((each.end_s, each.stages[0]["elapsed_s"]) for each in found if len(each.stages) > 1)
+    if len(spans) >= FEWEST_ON_ONE_CLOCK and all(end_s < first_s for (end_s, _), (_, first_s) in pairwise(spans)):
+        begin = next(filter(BEGIN_LIKE.search, cells.columns), "COLUMN")
+        warn(
+            f"{cells.file}, column {clock.fields[-1]!r}",
+            'times run on over trajectories, and do not count since each began; in place of since = "trajectory", say '
+            f'begin = "{begin}", the column of the time at which a stage began, with that of its end as field',
+        )
+
+
+def warn_of_early(cells: Cells, events: list[Event]) -> None:
+    """Warn about values before the first beginning of a trajectory."""
+    num_early = next((k for k, event in enumerate(events) if event.key == "trajectory"), 0)
+    if num_early:
+        warn(cells.file, f"{num_early} values come before the first beginning of a trajectory; they are left out")
