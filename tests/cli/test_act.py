@@ -217,7 +217,7 @@ def test_a_history_tells_what_was_seen_before_and_what_it_holds_is_not_counted_a
     report, fresh = report_of(tables, TABLE, "--history", begun), report_of(tables, TABLE)
     assert report["stage"] == 1
     assert report["q_values"]["FINISH"] != fresh["q_values"]["FINISH"]
-    assert "leave it out" in refused("act", tables, TABLE, "--history", begun, "--stage", 2)
+    assert "leave --stage out" in refused("act", tables, TABLE, "--history", begun, "--stage", 2)
 
 
 def test_a_policy_is_exported_once_and_replaced_only_when_told(typed, refused, house, tmp_path):

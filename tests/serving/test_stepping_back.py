@@ -92,13 +92,13 @@ def test_a_rule_file_decides_and_where_it_cannot_the_usual_action_does(flat, tmp
         lacking = decided(client, x1=800, x2=2)
     assert told == ["A", "C"]
     assert lacking["action"] == usual(logs, 1)
-    assert "for the rule rule.csv fails: the rule asks for seen_by = left, and seen_by is None" in lacking["reason"]
+    assert "as the rule rule.csv fails: the rule asks for seen_by = left, but seen_by is None" in lacking["reason"]
     rule.write_text("action\nD\n")
-    with pytest.raises(ValueError, match=r"rule\.csv: there is no action D; there are A, B, C"):
+    with pytest.raises(ValueError, match=r"rule\.csv: unknown action D; give one of A, B, C"):
         Served(flat, rule=rule)
     # Otherwise that row would fail in each state, and the usual action be taken.
     rule.write_text("x1,action\nhigh,B\n,A\n")
-    with pytest.raises(ValueError, match=r"rule\.csv: row 1: x1 is 'high', and the policy knows numbers of it"):
+    with pytest.raises(ValueError, match=r"rule\.csv: row 1: x1 is 'high'; give numbers"):
         Served(flat, rule=rule)
 
 
