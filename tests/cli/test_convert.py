@@ -105,9 +105,9 @@ def test_what_fits_not_together_is_refused(logs):
     of_bag = ("bag", "--mapping", "cell.toml", "--out")
     for told, words in (
         ("nowhere: no such file or folder", ("nowhere", "--out", "b")),
-        ("a: it is there already", ("a", "--out", "a")),
-        ("a: it is there already", ("a", "--out", "csv:a")),
-        ("a: it is there already", ("a", "--out", "a", "--check")),
+        ("a: it already exists", ("a", "--out", "a")),
+        ("a: it already exists", ("a", "--out", "csv:a")),
+        ("a: it already exists", ("a", "--out", "a", "--check")),
         ("--check is for one SOURCE", ("a", "a", "--out", "b", "--check")),
         ("bag needs --mapping FILE", ("bag", "--out", "b")),
         ("--see is for a source of kind bag; this is parquet", ("a", "--out", "b", "--see")),
@@ -253,7 +253,7 @@ def test_a_mapping_is_made_from_a_table_printed_or_written(place, typed):
     assert printed.status == 0
     assert run("plc.csv", "--mapping-template", "--out", "cell.toml").exit_code == 0
     assert Path("cell.toml").read_text() == printed.out
-    assert "cell.toml: it is there already" in refusal("plc.csv", "--mapping-template", "--out", "cell.toml")
+    assert "cell.toml: it already exists" in refusal("plc.csv", "--mapping-template", "--out", "cell.toml")
     assert run("--mapping-template").output.startswith("# Which topic of a bag carries what")
     for words, message in (((), "Missing argument 'SOURCE...'"), (("plc.csv",), "Missing option '--out'")):
         assert message in typed("convert", *words).err

@@ -151,7 +151,7 @@ def test_a_table_of_what_to_try_needs_a_verdict_and_a_place(folder, tmp_path):
     for file, has_verdict, said in (
         ("try.csv", False, "leave --no-verdict out"),
         ("try.txt", True, r"ends in \.csv"),
-        ("there.csv", True, "it is there already"),
+        ("there.csv", True, "it already exists"),
     ):
         arguments = (folder / "flat", "--out", tmp_path / "policy", "--exploration", tmp_path / file)
         with pytest.raises(ArgumentError, match=said):

@@ -225,7 +225,7 @@ def test_nonsense_anywhere_in_the_schema_is_refused_or_harmless(copied, kind):
 
 def test_what_is_there_is_replaced_only_when_asked_and_only_a_policy(written, logs, fitted, tmp_path):
     flat, before = logs["flat"], (written / RECORD).read_bytes()
-    with pytest.raises(ArgumentError, match="it is there already"):
+    with pytest.raises(ArgumentError, match="it already exists"):
         write_policy(fitted["flat"], flat, written)
     assert (written / RECORD).read_bytes() == before
     write_policy(FLAT(random_state=5).fit(flat), flat, written, overwrite=True)

@@ -107,7 +107,7 @@ def test_a_rule_that_asks_for_what_the_policy_does_not_is_told_of(flat, tmp_path
     # It is told before the address is found not to be of this machine.
     words = [str(flat), "--fall-back", str(tmp_path / "rule.csv"), "--host", "192.0.2.1", "--token", "a" * 16]
     told = CliRunner().invoke(serve, words)
-    assert "rule.csv: the rule asks for x_1, and the policy does not; where a request lacks it" in told.output
+    assert "rule.csv: the rule asks for x_1, which the policy does not use; if a request lacks it" in told.output
     assert "did you mean 'x1'?" in told.output
     assert isinstance(told.exception, ArgumentError)
     logs = flat_log()

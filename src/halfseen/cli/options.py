@@ -91,7 +91,7 @@ class Real(click.FloatRange):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Refuse NaN, too."""
         number = super().convert(value, param, ctx)
-        return number if number == number else self.fail(f"{value} is no number", param, ctx)
+        return number if number == number else self.fail(f"{value} is not a number", param, ctx)
 
 
 def real(*names: str, text: str, default: float | None = None, **bounds: Any) -> Any:

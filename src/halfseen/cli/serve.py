@@ -218,8 +218,8 @@ def _warn_of_rule(stored: Any, file: Path) -> None:
     rule, covariates, categories = rule_of(stored, file), stored.policy.covariates, stored.policy.categories
     for name in (name for name in rule.columns if name not in covariates):
         tell_warning(
-            f"{file}: the rule asks for {name}, and the policy does not; where a request lacks it, the usual action of "
-            f"the log is taken instead of the rule's{did_you_mean(name, covariates)}"
+            f"{file}: the rule asks for {name}, which the policy does not use; if a request lacks it, the usual "
+            f"action of the log is taken instead of the rule's{did_you_mean(name, covariates)}"
         )
     for one in (one for row in rule.rows for one in row.conditions):
         if one.column in categories and one.text not in categories[one.column]:
