@@ -12,9 +12,10 @@ import numpy as np
 from halfseen.censoring import CensoringSpec, CutModel
 from halfseen.censoring.clocks import StageClocks
 from halfseen.errors import ArgumentError
-from halfseen.learning.behaviour import fit_choice, preference_of, seen_among
+from halfseen.learning.behaviour import fit_choice, seen_among
 from halfseen.learning.imputation import DurationModel, fit_duration_model, imputation
 from halfseen.learning.named_task import NamedActions
+from halfseen.learning.preference import preference_of
 from halfseen.learning.q_space import (
     CrossValidation,
     KernelMap,
@@ -57,6 +58,12 @@ NUM_SUMS = 4
 def is_count(value: object) -> bool:
     """Whether a value is a whole number of at least 1."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= 1
+
+
+def check_seed(random_state: object) -> None:
+    """Refuse what is no seed; several generators are made of it."""
+    if random_state != 0 and not is_count(random_state):
+        raise ArgumentError(f"random_state is {random_state!r}; it is a seed, a whole number ≥ 0")
 
 
 @dataclass(frozen=True)
