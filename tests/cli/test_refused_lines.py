@@ -89,7 +89,7 @@ REFUSED = [
     ("act policy s.json --labels labels.csv", "--labels is for tables"),
     ("act policy {table}", "looks at x1, x2, not at clouds"),
     ("act table-policy s.json", "the policy is of tables"),
-    ("act policy other.json", "'x2' is not among x1, y"),
+    ("act policy other.json", "'x2' is missing (given: x1, y)"),
     ("act policy nan.json", "NaN is no number of JSON"),
     ("act policy many.json", "is not numeric"),
     ("act policy list.json", "it holds 0 states"),

@@ -281,8 +281,8 @@ def _check_row(row: Frame, policy: DiscretePolicy, where: str) -> None:
     missing = [name for name in policy.covariates if name not in row.columns]
     if missing:
         raise PolicyError(
-            f"{where}: the policy looks at {covariates_in_words(policy)}, but {missing[0]!r} is not among "
-            f"{', '.join(map(str, row.columns)) or 'nothing'}; give all covariates of the policy"
+            f"{where}: the policy looks at {covariates_in_words(policy)}, but {missing[0]!r} is missing (given: "
+            f"{', '.join(map(str, row.columns)) or 'nothing'}); give all covariates of the policy"
         )
     null = next((name for name in policy.covariates if row[name].isna().to_numpy().any()), None)
     if null is not None:
