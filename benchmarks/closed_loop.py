@@ -167,7 +167,7 @@ def main() -> None:
     belief = Belief(law.config(), law.grip)
     results: dict[str, Any] = {"seed": options.seed, "logs": str(logs.summary()), "policies": {}, "differences": {}}
     print(f"learned from {logs.summary()}")
-    heads = ("in physics", "foretold", "gap", "by luck", "gap without it")
+    heads = ("in physics", "predicted", "gap", "by luck", "gap without it")
     print(f"{'':<26}{''.join(f'{head:>17}' for head in heads)}{'washed':>24}{'robot':>7}")
     for name, policy in policies_of(logs, belief.config, options.seed).items():
         if options.only and name not in options.only:

@@ -70,7 +70,10 @@ def test_what_a_kill_left_aside_is_found(tmp_path):
 
 
 def test_a_folder_without_a_marker_is_never_replaced(tmp_path):
-    with pytest.raises(ArgumentError, match="there already; choose another folder, or move it away"), placed(tmp_path):
+    with (
+        pytest.raises(ArgumentError, match="it already exists; choose another folder, or move it away"),
+        placed(tmp_path),
+    ):
         pass
 
 

@@ -98,7 +98,7 @@ def refuse_taken(target: Path, overwrite: bool, marker: str | None, kind: str) -
         raise _unwritable(target, error) from error
     if is_there and not overwrite:
         remedy = "move it away first" if marker is None else "pass --overwrite (overwrite=True) to replace it"
-        raise ArgumentError(f"{target}: it is there already; choose another folder, or {remedy}")
+        raise ArgumentError(f"{target}: it already exists; choose another folder, or {remedy}")
     if is_there and not is_ours:
         raise ArgumentError(
             f"{target}: it holds no {kind} ({marker} is missing), so it is not replaced; choose another folder"

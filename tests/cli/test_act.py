@@ -84,8 +84,8 @@ def test_csv_and_json_say_the_same_and_people_get_the_reason_first(flat, tmp_pat
     lines = as_json.splitlines()
     assert lines[0].startswith(("A: worth ", "C: worth "))
     assert lines[1:4] == [f"warning: {DULL}", "", "stage 2 of 2"]
-    assert [line.split()[0] for line in lines[5:-1]] in (["A", "C", "How"], ["C", "A", "How"])
-    assert lines[-2].startswith("How sure this is nobody knows: the policy was learned without pessimism")
+    assert [line.split()[0] for line in lines[5:-1]] in (["A", "C", "The"], ["C", "A", "The"])
+    assert lines[-2].startswith("The uncertainty is unknown: the policy was learned without pessimism")
     assert lines[5].split()[0] == lines[0][0]
     far = state(tmp_path, text='{"x1": 800, "x2": 1}')
     assert "warning: x1 is 800, outside the logs (" in run(flat, far, "--extrapolate")
@@ -227,7 +227,7 @@ def test_a_history_tells_what_was_seen_before_and_what_it_holds_is_not_counted_a
     report, fresh = report_of(tables, TABLE, "--history", begun), report_of(tables, TABLE)
     assert report["stage"] == 1
     assert report["q_values"]["FINISH"] != fresh["q_values"]["FINISH"]
-    assert "leave it out" in refused("act", tables, TABLE, "--history", begun, "--stage", 2)
+    assert "leave --stage out" in refused("act", tables, TABLE, "--history", begun, "--stage", 2)
 
 
 def test_a_policy_is_exported_once_and_replaced_only_when_told(typed, refused, house, tmp_path):

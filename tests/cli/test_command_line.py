@@ -163,9 +163,9 @@ def raising(monkeypatch):
     [
         (PermissionError(13, "Permission denied", "/a/b"), "/a/b: permission denied; ask for the right to it"),
         (OSError(36, "File name too long", "n" * 300), "nnn: file name too long; give a shorter name"),
-        (OSError("Broken\nheader"), "broken; check the place"),
-        (MemoryError("Unable to allocate 8.00 TiB"), "memory does not suffice (Unable to allocate 8.00 TiB)"),
-        (RuntimeError("RESOURCE_EXHAUSTED: Out of memory"), "memory does not suffice (RESOURCE_EXHAUSTED"),
+        (OSError("Broken\nheader"), "broken; check that it exists"),
+        (MemoryError("Unable to allocate 8.00 TiB"), "out of memory (Unable to allocate 8.00 TiB)"),
+        (RuntimeError("RESOURCE_EXHAUSTED: Out of memory"), "out of memory (RESOURCE_EXHAUSTED"),
         (RecursionError("maximum recursion depth exceeded"), "nested too deeply to be read; write it with fewer"),
         # A library that is not there is told with the extra that brings it.
         (ModuleNotFoundError("none", name="skimage.measure"), "halfseen: skimage is not installed"),

@@ -104,10 +104,10 @@ def test_what_fits_not_together_is_refused(logs):
     Path("empty").mkdir()
     of_bag = ("bag", "--mapping", "cell.toml", "--out")
     for told, words in (
-        ("nowhere: there is no such file or folder", ("nowhere", "--out", "b")),
-        ("a: it is there already", ("a", "--out", "a")),
-        ("a: it is there already", ("a", "--out", "csv:a")),
-        ("a: it is there already", ("a", "--out", "a", "--check")),
+        ("nowhere: no such file or folder", ("nowhere", "--out", "b")),
+        ("a: it already exists", ("a", "--out", "a")),
+        ("a: it already exists", ("a", "--out", "csv:a")),
+        ("a: it already exists", ("a", "--out", "a", "--check")),
         ("--check is for one SOURCE", ("a", "a", "--out", "b", "--check")),
         ("bag needs --mapping FILE", ("bag", "--out", "b")),
         ("--see is for a source of kind bag; this is parquet", ("a", "--out", "b", "--see")),
@@ -121,7 +121,7 @@ def test_what_fits_not_together_is_refused(logs):
         # No clouds are left where the logs cannot be written, and neither takes a place of the other.
         ("cannot be written", (*of_bag, "file/logs", "--clouds", "clouds")),
         *(
-            ("it is --out, or one lies in the other", (*of_bag, out, "--clouds", clouds))
+            ("it is --out, or one contains the other", (*of_bag, out, "--clouds", clouds))
             for out, clouds in (("x", "x"), ("csv:x", "./x"), ("x/logs", "x"), ("x", "x/clouds"))
         ),
     ):
@@ -198,7 +198,7 @@ def test_a_database_takes_its_queries_from_options_or_a_file(sources, logs):
         "sql:sqlite:///cell.db", "--out", "x", "--stages", "SELECT 1"
     )
     both = refusal("sql:sqlite:///cell.db", "--out", "x", "--mapping", "cell.toml", "--trajectories", "SELECT 1")
-    assert "say the same; give one of them" in both
+    assert "it replaces --stages, --trajectories and --objects; leave these out" in both
 
 
 def test_a_table_of_events_is_read_by_a_mapping_in_one_command(place):
@@ -253,7 +253,7 @@ def test_a_mapping_is_made_from_a_table_printed_or_written(place, typed):
     assert printed.status == 0
     assert run("plc.csv", "--mapping-template", "--out", "cell.toml").exit_code == 0
     assert Path("cell.toml").read_text() == printed.out
-    assert "cell.toml: it is there already" in refusal("plc.csv", "--mapping-template", "--out", "cell.toml")
+    assert "cell.toml: it already exists" in refusal("plc.csv", "--mapping-template", "--out", "cell.toml")
     assert run("--mapping-template").output.startswith("# Which topic of a bag carries what")
     for words, message in (((), "Missing argument 'SOURCE...'"), (("plc.csv",), "Missing option '--out'")):
         assert message in typed("convert", *words).err
@@ -316,7 +316,7 @@ def test_check_says_what_is_lost_and_writes_nothing(typed):
     log_of({"raw": b"a"}, pose=[{"x": 1.0}]).write("a")
     status, out, err = typed("convert", "a", "--out", "csv:b", "--check")
     _, second, *rest = out.splitlines()
-    assert (status, err, second) == (1, "", "It would not be written whole:")
+    assert (status, err, second) == (1, "", "What would be lost:")
     assert [line[:33] for line in rest] == ["- stages: column 'pose' holds str", "- trajectories: column 'raw' hold"]
     report = json.loads(typed("convert", "a", "--out", "minari:b-v0", "--check", "--json").out)
     assert [(loss["table"], loss["column"], loss["is_refused"]) for loss in report["losses"]] == [
@@ -343,6 +343,6 @@ def test_what_is_lost_or_kept_for_halfseen_alone_is_told_of_what_is_written(logs
     ]
     checked = run("a", "--out", "minari:c-v0", "--check")
     assert checked.exit_code == 1
-    last = "Kept as notes that halfseen alone reads: stages.lamp, trajectories.cause, trajectories.serial."
+    last = "Kept as notes that only halfseen reads: stages.lamp, trajectories.cause, trajectories.serial."
     assert checked.output.splitlines()[-1] == last
     assert run("a", "--out", "minari:c-v0").output.splitlines()[-1] == last

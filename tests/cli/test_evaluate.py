@@ -44,7 +44,9 @@ def folders(tmp_path_factory):
 def test_says_the_verdict_first_then_the_numbers(folders):
     lines = told(folders / "policy", "--logs", folders / "aside").output.splitlines()
     assert lines[0].startswith("Better: it earns ")
-    assert lines[1].startswith("To undo this, a cause of cuts that is not in the log would have to change the odds of ")
+    assert lines[1].startswith(
+        "To overturn this, a cause of cuts that is not in the log would have to change the odds of "
+    )
     assert [line.split("  ")[0] for line in lines[4:7]] == ["doubly robust", "importance sampling", "fitted Q"]
     assert " ".join(lines[8].split()) == "against value 95% interval difference 95% interval adjusted p verdict"
     assert lines[9].startswith("the logging policy ")
@@ -86,7 +88,9 @@ def test_options_reach_the_model(folders):
 
 
 def test_the_logs_that_it_was_learned_from_are_told_apart(folders):
-    assert "note: it was learned from these very logs" in told(folders / "policy", "--logs", folders / "learned").output
+    assert (
+        "note: the policy was learned from these logs" in told(folders / "policy", "--logs", folders / "learned").output
+    )
 
 
 def test_whole_numbers_are_no_text_in_evaluate_report_and_baselines(tmp_path):
@@ -99,13 +103,13 @@ def test_whole_numbers_are_no_text_in_evaluate_report_and_baselines(tmp_path):
         write_policy(learner, logs, tmp_path / f"of_{kind}")
     of_whole, of_text, whole, text = (tmp_path / name for name in ("of_whole", "of_text", "whole", "text"))
     is_whole, is_text = "whole numbers, such as 1", "text, such as '1'"
-    with refused(rf"of the policy are {is_whole}, and the log's are {is_text}; write .* as whole numbers$"):
+    with refused(rf"of the policy are {is_whole}, but the log's are {is_text}; write .* as whole numbers$"):
         told(of_whole, "--logs", text)
-    with refused(rf"of the policy are {is_text}, and the log's are {is_whole}; write .* as text$"):
+    with refused(rf"of the policy are {is_text}, but the log's are {is_whole}; write .* as text$"):
         told(of_text, "--logs", whole)
-    with refused(rf"of the policy of_text are {is_text}, and the log's are {is_whole}"):
+    with refused(rf"of the policy of_text are {is_text}, but the log's are {is_whole}"):
         told(of_whole, "--logs", whole, "--against", of_text)
-    with refused(rf"of the policy are {is_whole}, and the log's are {is_text}"):
+    with refused(rf"of the policy are {is_whole}, but the log's are {is_text}"):
         shell.run("report", text, of_whole, "--out", tmp_path / "report.html")
     assert not (tmp_path / "report.html").exists()
     lines = told(of_whole, "--logs", whole, "--against", "sequence:1").output

@@ -77,7 +77,7 @@ def test_a_verdict_that_cannot_be_had_does_not_keep_the_policy_back(tmp_path):
     flat_log(num_trajectories=12).write(tmp_path / "few")
     plain = ("--reg", 0.1, "--q-function", "linear", "--stages", "pooled", "--censoring", "kaplan-meier")
     result = run(tmp_path / "few", "--out", tmp_path / "policy", *plain, has_verdict=True)
-    assert "\nInconclusive: the log has 12 trajectories, and 10 folds need 20; record more (said of" in result.stdout
+    assert "\nInconclusive: the log has 12 trajectories, but 10 folds need 20; record more (said of" in result.stdout
     assert result.stderr == ""
     assert read_policy(tmp_path / "policy").verdict["verdict"] == "inconclusive"
 
@@ -132,7 +132,7 @@ def test_what_to_try_is_written_for_serve_and_the_best_guess_on_request(tmp_path
 def test_a_table_that_names_nothing_to_try_is_noted(folder, tmp_path):
     arguments = (folder / "tables", "--out", tmp_path / "policy", "--horizon", 3, "--reg", 0.1)
     report = json.loads(run(*arguments, "--exploration", tmp_path / "try.csv", "--json", has_verdict=True).stdout)
-    assert report["notes"][-1].startswith(f"{tmp_path / 'try.csv'} names nothing to try;")
+    assert report["notes"][-1].startswith(f"{tmp_path / 'try.csv'} lists no actions to try;")
     assert read_exploration(tmp_path / "try.csv", ("A",), ()).shares({}, 1) == {}
 
 
@@ -151,7 +151,7 @@ def test_a_table_of_what_to_try_needs_a_verdict_and_a_place(folder, tmp_path):
     for file, has_verdict, said in (
         ("try.csv", False, "leave --no-verdict out"),
         ("try.txt", True, r"ends in \.csv"),
-        ("there.csv", True, "it is there already"),
+        ("there.csv", True, "it already exists"),
     ):
         arguments = (folder / "flat", "--out", tmp_path / "policy", "--exploration", tmp_path / file)
         with pytest.raises(ArgumentError, match=said):
@@ -214,7 +214,7 @@ def test_a_verdict_on_some_of_the_trajectories_says_so(folder, tmp_path, monkeyp
     monkeypatch.setattr(held_out, "MOST_JUDGED", 30)
     arguments = (folder / "flat", "--out", tmp_path / "policy", "--reg", 0.1, "--streaming", "--json")
     report = json.loads(run(*arguments, has_verdict=True).stdout)
-    assert "the verdict is of policies learned from 30 of the 40 trajectories, drawn at random" in report["notes"]
+    assert "the verdict is about policies learned from 30 of the 40 trajectories, drawn at random" in report["notes"]
 
 
 def _trial(num_trajectories):

@@ -48,7 +48,7 @@ def test_what_is_cut_is_named_where_it_hides_an_object(tmp_path):
     write_pcd(drawn.cloud, tmp_path / "cut.pcd")
     first, second, *_, row = run(tmp_path / "cut.pcd").output.splitlines()
     assert first.startswith("1 object on the table; object 0 is hidden most, by something cut by the image border or ")
-    assert second == "Left out: 1 that the image border cuts."
+    assert second == "Left out: 1 cut by the image border."
     share = float(row.split()[7])
     assert share == pytest.approx(drawn.occlusion[0], abs=0.04)
     assert row.endswith(f"{share:.2f}  other ({share:.2f})")

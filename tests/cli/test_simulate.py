@@ -83,7 +83,7 @@ def test_a_cell_takes_the_policy_of_as_many_arms(house, learned):
     assert isinstance(mixed, ExploringPolicy)
     assert mixed.random_share == 0.25
     with pytest.raises(
-        PolicyError, match="decides for a team of 2 robots, and 3 arms clear the table; learn one from logs of 3"
+        PolicyError, match="decides for a team of 2 robots, but 3 arms clear the table; learn one from logs of 3"
     ):
         policy_for(name, 0.0, config, 3)
 
@@ -104,13 +104,13 @@ def test_a_robot_has_the_law_that_its_file_names(refused, tmp_path):
     assert json.loads(told.stdout)["robots"] == ["left", "right", "behind"]
     (tmp_path / "no-law.toml").write_text(LEFT + 'law = "asumed"\n')
     told = refused("simulate", TABLE, "--team", tmp_path / "no-law.toml", "--out", tmp_path / "none")
-    assert f"{tmp_path / 'no-law.toml'}: robot 0: law: asumed: there is no such folder" in told
+    assert f"{tmp_path / 'no-law.toml'}: robot 0: law: asumed: no such folder" in told
     assert "did you mean 'assumed'?" in told
 
 
 def test_learn_says_for_how_many_robots_and_keeps_it(house, learned):
     lines = learned.stdout.splitlines()
-    assert "looks at    tables of 2 robots, and what each is at; it decides for whichever is free" in lines
+    assert "looks at    tables of 2 robots, and what each is doing; it decides for whichever is free" in lines
     assert "Q           linear, stages pooled, horizon 6, 3 decisions of each robot" in lines
     assert lines[-1] == f"Next: halfseen evaluate {house / 'team-policy'} --world --team ROBOTS"
     assert learned.stderr == ""

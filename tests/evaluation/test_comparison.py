@@ -86,7 +86,7 @@ def test_better_is_better_than_each_and_among_many_one_small_p_value_is_no_evide
     assert first.difference.low > 0
     assert first.p < 0.05 < first.adjusted_p
     assert first.verdict == "inconclusive"
-    assert "not enough among so many baselines" in first.reason
+    assert "not significant among so many baselines" in first.reason
     assert compared(ours, theirs[:1], 0.95)[0].verdict == "better"
 
 
@@ -154,10 +154,10 @@ def test_every_kind_of_baseline_has_a_name(tmp_path):
     [
         ([], "against is empty"),
         (["logging", "logging"], "names the logging policy twice"),
-        ("rules.ods", "against is 'rules.ods'; it is logging, logging-rule"),
+        ("rules.ods", "against is 'rules.ods'; give logging, logging-rule"),
         ("sequence:A,,B", "name an action for each stage"),
         ("sequence:A", "the sequence A is for 1 stage"),
-        (3, "the int decides nothing about named actions"),
+        (3, "the int does not decide about the named actions"),
         ("nowhere.toml", "nowhere.toml: it cannot be read"),
     ],
 )
@@ -183,7 +183,7 @@ def test_a_verdict_says_what_would_undo_it_and_an_open_one_or_one_without_cuts_n
     assert cut.verdict == "better"
     assert cut.comparisons[0].gamma > 1.0
     assert cut.sensitivity in str(cut).splitlines()[1]
-    assert "To undo this" in cut.sensitivity
+    assert "To overturn this" in cut.sensitivity
     assert (uncut.verdict, uncut.sensitivity) == ("better", "")
 
 

@@ -57,4 +57,4 @@ def test_too_few_stages_of_a_single_decision_make_nothing_better(seed):
     logs = bandit(seed, 400)
     verdict = held_out_verdict(CensoredQLearner(1, ACTIONS, ["state"]).fit(logs), logs)
     assert verdict.verdict == "inconclusive"
-    assert "times a state, and 10 are needed; record more" in verdict.reason
+    assert "times a state, but 10 are needed; record more" in verdict.reason

@@ -42,14 +42,14 @@ def test_of_uncut_trajectories_as_many_are_worth_one_as_their_mean_squared_ratio
     assert cut.trajectories_for_one > 1.2 * uncut.trajectories_for_one
 
 
-NONE_WOULD = "no log of a size that can be recorded would do"
+NONE_WOULD = "no log of practical size would do"
 
 
 @pytest.mark.parametrize(
     ("trajectories_for_one", "said"),
     [
-        (231.0, "some 3,000 trajectories like these would do"),
-        (41.0, "some 500 trajectories like these would do"),
+        (231.0, "about 3,000 trajectories like these would do"),
+        (41.0, "about 500 trajectories like these would do"),
         (30.0, "record more trajectories, or some of a logging policy"),
         *((trajectories, NONE_WOULD) for trajectories in (np.inf, np.nan, 1e9)),
     ],
@@ -146,7 +146,7 @@ def test_too_few_trajectories_are_said_to_be_too_few():
     found = held_out_verdict(learner().fit(logs), logs)
     assert found.evaluation is None
     assert found.sentence.startswith(
-        "Inconclusive: the log has 12 trajectories, and 10 folds need 20; record more (said"
+        "Inconclusive: the log has 12 trajectories, but 10 folds need 20; record more (said"
     )
     few = logs.select(logs.trajectory_ids[:3])
     assert "3 trajectories for 5 folds" in held_out_verdict(learner().fit(few), few).reason
@@ -255,7 +255,7 @@ def test_the_claim_is_of_the_policy_that_is_kept():
     assert truth(StatePolicy(chance_b).chance_b) > truth((0.5, 0.5))
     # A guess that is better on its own says so.
     best = replace(found.of_best, verdict="inconclusive")
-    assert best.claims[1].endswith("; it is better if nothing but it was asked about (--trust best).")
+    assert best.claims[1].endswith("; it is better if tested alone (--trust best).")
 
 
 NOISE = Estimate(0.2, -0.2, 0.6, 0.2, 50.0, bias=0.1)
@@ -289,7 +289,7 @@ def test_what_is_still_to_be_recorded_is_said():
     said = more_trajectories(one.needed, 100)
     assert said.startswith("about ")
     assert "more trajectories like these would decide (" in said
-    assert more_trajectories(replace(one.needed, times=np.inf), 100).startswith("no log of a size")
+    assert more_trajectories(replace(one.needed, times=np.inf), 100).startswith("no log of practical size")
 
 
 def test_a_guess_of_which_nothing_is_known_says_why():

@@ -65,7 +65,7 @@ def test_a_covariate_that_drifted_is_named(name, change):
     units, found = drifts_of(PROMISED, log(1, **{name: change}))
     assert not units
     assert len(found) == 1
-    assert f"covariate {name} is distributed otherwise" in found[0]
+    assert f"covariate {name} is distributed differently" in found[0]
     assert "from stage 1 on" in found[0]
 
 
@@ -75,7 +75,7 @@ def test_a_covariate_that_drifted_is_named(name, change):
         ("weight", 1e3, "is 1,000 times as large as .* another unit \\(thousandths\\): divide it by 1,000$"),
         ("weight", 1 / 60, "is 60 times as small as .* the other way round\\): multiply it by 60$"),
         ("shine", 100.0, "is 100 times as large as .*percent for shares.*: divide it by 100$"),
-        ("shine", -1.0, "has the other sign than .* another direction: multiply it by -1$"),
+        ("shine", -1.0, "has the opposite sign of .* another direction: multiply it by -1$"),
     ],
 )
 def test_another_unit_is_named_and_said_first(name, factor, words):
@@ -86,7 +86,7 @@ def test_another_unit_is_named_and_said_first(name, factor, words):
     assert re.search(f"^covariate {name} {words}", unit)
     assert found.lines[0] == f"C{unit[1:]}."
     assert found.lines[1].startswith("Promised")
-    assert found.lines[2].startswith("- covariate jams is distributed otherwise")
+    assert found.lines[2].startswith("- covariate jams is distributed differently")
 
 
 def test_what_drifts_in_a_later_stage_is_told_of_that():

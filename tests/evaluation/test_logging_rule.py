@@ -84,7 +84,7 @@ def test_the_model_says_what_the_rule_would_do_and_how_often_it_is_right(rule, l
     right = agreement(rule, logs, found)
     assert right > least
     np.testing.assert_array_equal(found.is_taken, trajectories.probability > 0.5)
-    assert "by probabilities above one half" in found.note
+    assert "from probabilities above one half" in found.note
     num_right, num_checked = map(int, re.search(r"right in (\d+) of (\d+) stages", found.note).groups())
     assert right == pytest.approx(num_right / num_checked, abs=0.05)
 
@@ -94,7 +94,7 @@ def test_actions_alone_tell_less_and_a_rule_that_is_seldom_above_one_half_is_est
     found, _ = found_in(logs, has_probability=False)
     assert found.is_taken is None
     assert 0.85 < agreement(thresholds, logs, found) < 1.0
-    assert "how often the model is right cannot be checked" in found.note
+    assert "the accuracy of the model cannot be checked" in found.note
     logs = logged(thresholds, 400, random_share=0.8)
     found, _ = found_in(logs)
     assert found.is_taken is None

@@ -14,7 +14,7 @@ LONGEST_LINE = 1250
 """Characters of a line that a person reads."""
 MOST_GROWN_MB = 2000
 UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f]")
-NETS = ("check the place, and that it can be read", "nested too deeply to be read", "memory does not suffice")
+NETS = ("check that it exists and can be read", "nested too deeply to be read", "give less at once")
 """How lines end that nobody foresaw."""
 FROM_INSIDE = re.compile(
     r"object has no attribute|not subscriptable|unhashable|index out of (range|bounds)|Traceback|takes \d+ positional"

@@ -128,7 +128,7 @@ def test_folders_that_do_not_go_together_are_refused(tmp_path):
     for folders, out, told, kind in (
         ([a, tables], "all", r"t has objects and .*a has none", LogError),
         ([a, tmp_path / "t" / ".." / "a"], "all", "are the same folder; give it once", ArgumentError),
-        ([a], "t", "it is there already", ArgumentError),
+        ([a], "t", "it already exists", ArgumentError),
         ([a, tmp_path / "nowhere"], "all", "there is no such folder", LogError),
         ([], "all", "no folder is given", ArgumentError),
     ):

@@ -46,7 +46,7 @@ def test_overwrite_replaces_the_whole_folder(folder, logs):
     assert read_logs(folder).objects is None
     assert not (folder / "objects.parquet").exists()
     assert os.listdir(folder.parent) == ["logs"]
-    with pytest.raises(ArgumentError, match=r"it is there already; .* pass --overwrite \(overwrite=True\)"):
+    with pytest.raises(ArgumentError, match=r"it already exists; .* pass --overwrite \(overwrite=True\)"):
         logs.write(folder)
 
 
@@ -87,7 +87,7 @@ def test_a_file_where_the_folder_should_go(tmp_path, logs):
     (tmp_path / "file").write_text("")
     with pytest.raises(ArgumentError, match="cannot be written"):
         logs.write(tmp_path / "file" / "logs")
-    with pytest.raises(ArgumentError, match="it is there already"):
+    with pytest.raises(ArgumentError, match="it already exists"):
         logs.write(tmp_path / "file")
 
 

@@ -104,7 +104,7 @@ def test_what_is_written_in_parts_is_read_as_a_whole(tmp_path):
     assert logs.trajectory_ids.tolist() == list(range(20))
     assert logs.trajectories.loc[6, "cause"] == "unknown"
     assert logs.stages["reward"].isna().sum() == 1
-    with refused("it is there already", ArgumentError):
+    with refused("it already exists", ArgumentError):
         write_stream(iter(parts), tmp_path / "logs")
     write_stream(iter(parts[:1]), tmp_path / "logs", overwrite=True)
     assert read_logs(tmp_path / "logs").num_trajectories == 5

@@ -74,7 +74,7 @@ def test_named_actions_answer_through_the_same_door():
 @pytest.mark.parametrize(
     ("ask", "error", "message"),
     [
-        (lambda: decider_of(object()), ArgumentError, "is no policy"),
+        (lambda: decider_of(object()), ArgumentError, "is not a policy"),
         (lambda: decider_of(FLAT).decide(seen(np.nan)), LogError, "finite"),
         (lambda: decider_of(FLAT).decide(seen(0.0, 3)), ArgumentError, "stage is 3"),
     ],
@@ -128,7 +128,9 @@ def test_on_a_table_the_interval_is_of_q_without_its_margin_and_the_chance_that_
 
 def test_far_more_objects_than_in_the_logs_are_refused_unless_they_are_to_be_extrapolated():
     ranges = {"num_objects": (5.0, 6.0), "occlusion": (0.0, 0.1), "log_odds": (8.0, 9.0), "num_attempts": (4.0, 4.0)}
-    with pytest.raises(PolicyError, match=r"num_objects is 2, outside the logs \(5 to 6\) by more than these span"):
+    with pytest.raises(
+        PolicyError, match=r"num_objects is 2, outside the logs \(5 to 6\) by more than the width of this range"
+    ):
         decider_of(TABLES["learned"], lambda stage: ranges).decide(NOW)
     told = decider_of(TABLES["learned"], lambda stage: ranges, extrapolates=True).decide(NOW)
     assert told.warnings[0] == "num_objects is 2, outside the logs (5 to 6); Q is extrapolated"
@@ -143,9 +145,13 @@ NEVER_VARIED = {"x": (4.0, 4.0), "y": (0.0, 0.0)}
     ("ranges", "values", "refused"),
     [
         ({"x": (1.0, 3.0)}, {"x": -1.0}, None),
-        ({"x": (1.0, 3.0)}, {"x": -1.01}, r"^x is .*, outside the logs \(1 to 3\) by more than these span"),
+        (
+            {"x": (1.0, 3.0)},
+            {"x": -1.01},
+            r"^x is .*, outside the logs \(1 to 3\) by more than the width of this range",
+        ),
         ({"x": (1.0, 3.0)}, {"x": 5.0}, None),
-        ({"x": (1.0, 3.0)}, {"x": 5.01}, r"^x is .*, outside the logs \(1 to 3\) by more than these span"),
+        ({"x": (1.0, 3.0)}, {"x": 5.01}, r"^x is .*, outside the logs \(1 to 3\) by more than the width of this range"),
         ({"x": (1.0, 3.0)}, {"x": 2.0}, None),
         # What never varied is taken to be as wide as its value is large.
         (NEVER_VARIED, {"x": 8.0, "y": 1.0}, None),
@@ -169,7 +175,7 @@ def test_more_than_a_whole_range_beyond_an_end_is_refused(ranges, values, refuse
 
 
 def test_a_stage_that_no_trajectory_came_to_is_told():
-    assert beyond(None, {}) == ("no trajectory of the logs came to this stage; Q is extrapolated",)
+    assert beyond(None, {}) == ("no trajectory of the logs reached this stage; Q is extrapolated",)
 
 
 @pytest.mark.parametrize(
@@ -192,7 +198,7 @@ def test_ranges_are_compared_without_rounding_and_told_apart(seen, value, says):
 def test_a_decider_that_stays_within_refuses_whatever_is_outside():
     decider = decider_of(FLAT, lambda stage: {"x": (0.0, 1.0)} if stage == 1 else None, stays_within=True)
     assert decider.decide(seen(1.0)).warnings == ()
-    for asked, says in ((seen(1.0000001), "outside the logs"), (seen(0.5, 2), "no trajectory of the logs came")):
+    for asked, says in ((seen(1.0000001), "outside the logs"), (seen(0.5, 2), "no trajectory of the logs reached")):
         with pytest.raises(OutOfRangeError, match=says):
             decider.decide(asked)
 
@@ -308,7 +314,9 @@ def test_how_sure_it_is_stands_with_what_it_is_worth():
     worths = {"FINISH": 1.0, "WASH_0": 0.5}
     assert ", and best with a chance of 71%; none" in reason({}, worths, {"FINISH": 0.71, "WASH 0": 0.29})
     doubted = reason({}, worths, {"FINISH": 0.3, "WASH 0": 0.7})
-    assert "best with a chance of 30%; WASH 0 is likelier best (70%), but the logs bear it out less;" in doubted
+    assert (
+        "best with a chance of 30%; WASH 0 is more likely the best (70%), but has less support in the logs;" in doubted
+    )
 
 
 POLICY = DiscretePolicy(
@@ -334,14 +342,13 @@ ROW, FLAG = {"x1": 0.8, "x2": 3.0}, {"x1": (0.0, 1.0), "x2": (0.0, 1.0)}
             ROW,
             1,
             {"x1": (0.9, 1.1), "x2": (0.0, 4.0)},
-            "A: worth 0.30 more than B; none of what it looks at speaks for it more than what is usual in the logs "
-            "does.",
+            "A: worth 0.30 more than B; no covariate speaks for it more than its usual value in the logs does.",
         ),
         (ROW, 1, None, "A: worth 0.30 more than B."),
         ({"x1": True, "x2": 1.0}, 1, FLAG, "... that x1 is 1 speaks for it most: were it 0, it"),
         ({"x1": False, "x2": 1.0}, 1, FLAG, "... x1 is 0 speaks for it most: were it 1"),
         ({"x1": 3, "x2": 1}, 1, {"x1": (0.0, 3.0), "x2": (0.0, 4.0)}, "... most: were it 1, the middle in the logs"),
-        (ROW, 2, None, "C: nothing else is possible."),
+        (ROW, 2, None, "C: no other action is possible."),
     ],
 )
 def test_the_covariate_that_speaks_most_for_an_action_is_held_against_the_middle_of_its_range(row, stage, ranges, told):

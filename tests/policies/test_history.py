@@ -40,7 +40,7 @@ def history(action, target, *, location=("TABLE",) * 3, ending="cut"):
 SCENE = Scene(HIDES[np.ix_([2, 1, 0], [2, 1, 0])])
 
 
-ORDER = "objects of the history have no places (x_m, y_m, z_m): they are taken in their order"
+ORDER = "objects of the history have no places (x_m, y_m, z_m): they are matched by order"
 
 
 def present(scene, horizon, logs, places_m=None, held=None):
@@ -108,12 +108,15 @@ PUSHED = [[0.18, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
 KNOCKED = [[-0.12, 0.0, 0.0], [0.0, 0.0, 0.0]]
 HIDDEN = "object 2 is '{}' of the history, which the cloud does not show: it is taken to be hidden where it was"
 NO_CUP, NO_BOWL = HIDDEN.format("cup"), HIDDEN.format("bowl")
-OPEN = "whether LIFT of 'bowl' in stage 2 held is not known; it is not counted"
-OTHERS = "object 0 may be another than 'bowl' of the history", "object 1 may be another than 'cup' of the history"
-FAILED = "WASH of 'bowl' is taken to have failed: object 0, 0.12 m from where it was, is taken for it"
-STANDS = "WASH of 'bowl' held, but object 2 stands where it was: it is taken for another"
+OPEN = "whether LIFT of 'bowl' in stage 2 held is unknown; the attempt is not counted"
+OTHERS = (
+    "object 0 is taken to be 'bowl' of the history, but another",
+    "object 1 is taken to be 'cup' of the history, but another",
+)
+FAILED = "WASH of 'bowl' is taken to have failed: object 0, 0.12 m from where it was, is taken to be the same"
+STANDS = "WASH of 'bowl' held, but object 2 stands where it was: it is taken to be another"
 NEW = np.log(0.6 / 0.4)
-OTHER_THINGS = r"trajectory 2, stage 2: 3 objects .* of other objects than the cloud shows"
+OTHER_THINGS = r"trajectory 2, stage 2: 3 objects .*: these are other objects"
 
 
 @pytest.mark.parametrize(
@@ -179,7 +182,7 @@ def finished(*did):
     return history(*did, ending="finished")
 
 
-WASHED_MUG, PICKED = ("WASH", "mug"), r"of object .* is none that the table knows"
+WASHED_MUG, PICKED = ("WASH", "mug"), r"of object .* is unknown to a table"
 FAR = "trajectory 2, stage 2: none of the 3 objects that the cloud shows is within"
 
 
@@ -193,8 +196,8 @@ FAR = "trajectory 2, stage 2: none of the 3 objects that the cloud shows is with
         (placed, PRESENT, 3, 4, PolicyError, FAR),
         (history, WASHED_MUG, 3, 2, PolicyError, "beyond the policy's horizon of 2 stages"),
         (history, PRESENT, 3, 1, PolicyError, "beyond the policy's horizon of 1 stages"),
-        (finished, WASHED_MUG, 3, 4, LogError, "came to its own end"),
-        (history, ("FINISH", None), 3, 4, LogError, "came to its own end"),
+        (finished, WASHED_MUG, 3, 4, LogError, "the trajectory has finished"),
+        (history, ("FINISH", None), 3, 4, LogError, "the trajectory has finished"),
         (history, ("WASH", None), 3, 4, LogError, f"stage 2: action 'WASH' {PICKED}"),
         (history, ("PICK", "mug"), 3, 4, LogError, f"stage 2: action 'PICK' {PICKED}"),
         (numbered, ("WASH", None), 3, 4, LogError, "action 'WASH' of object null"),

@@ -91,7 +91,7 @@ def test_a_covariate_without_a_rule_is_refused(logs, tmp_path):
     decider = decider_of(other.policy_)
     with refused("covariate 'y' is nan|'y'", (LogError, PolicyError)):
         decider.decide(NamedObservation({"x": None, "y": None}, 1))
-    with refused("there is no 'y'", PolicyError):
+    with refused("'y' is missing", PolicyError):
         decider.decide(NamedObservation({"x": None}, 1))
 
 

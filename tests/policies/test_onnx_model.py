@@ -117,7 +117,7 @@ def test_the_model_names_what_it_takes_and_gives_and_a_number_of_objects_is_for_
     of_three = onnxruntime.InferenceSession(onnx_model(tables, 3))
     state = random_state(3, 3, np.random.default_rng(0))
     assert [each.name for each in of_three.get_inputs()] == list(table_inputs(state))
-    with pytest.raises(PolicyError, match="of kind 'team', which is not exported: serve it"):
+    with pytest.raises(PolicyError, match="of kind 'team', which cannot be exported: serve it"):
         onnx_model(StoredPolicy(policy=None, record={"kind": "team"}))
 
 

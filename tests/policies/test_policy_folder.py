@@ -90,7 +90,7 @@ def test_a_policy_of_a_team_comes_back_with_what_it_improves_upon_and_decides_fo
     assert (len(again.policy.base.policies), float(again.policy.caution)) == (2, float(policy.caution))
     for one, other in ((again.policy, policy), (again.policy.base, policy.base)):
         np.testing.assert_array_equal(decisions(one, states), decisions(other, states))
-    with pytest.raises(PolicyError, match=r"the policy decides for a team of 2 robots, which looks at what each"):
+    with pytest.raises(PolicyError, match=r"the policy decides for a team of 2 robots, and needs to know what each"):
         decider_of(again)
 
 

@@ -37,10 +37,10 @@ def test_any_byte_changed_or_cut_off_is_noticed(written, name):
         changed = bytearray(whole)
         changed[position] ^= 1 << int(rng.integers(8))
         (written / name).write_bytes(changed)
-        assert "it is not as it was written" in told(written)
+        assert "it was changed after it was written" in told(written)
     for keep in (0, 10):
         (written / name).write_bytes(whole[:keep])
-        assert "it is not as it was written" in told(written)
+        assert "it was changed after it was written" in told(written)
     (written / name).unlink()
     assert f"{written / name}: it is missing" in told(written)
     (written / name).write_bytes(whole)
@@ -50,7 +50,7 @@ def test_any_byte_changed_or_cut_off_is_noticed(written, name):
 def test_no_folder_and_a_folder_of_something_else_are_refused(tmp_path):
     (tmp_path / "file").write_text("x")
     for name in ("none", "file"):
-        assert "there is no such folder" in told(tmp_path / name)
+        assert "no such folder" in told(tmp_path / name)
     assert "policy.json: it is missing" in told(tmp_path)
 
 
@@ -77,8 +77,8 @@ def array(name, change):
 REFUSED = {
     "flat": [
         (of_record(version=1), "version 1 is not the 2 that halfseen"),
-        (of_record(format="pickle"), "describes no policy"),
-        (of_record(kind="tree"), "kind is 'tree'; it is one of flat, table, table-laws, team, team-laws"),
+        (of_record(format="pickle"), "does not describe a policy"),
+        (of_record(kind="tree"), "kind is 'tree'; it must be one of flat, table, table-laws, team, team-laws"),
         (record(lambda r: r.pop("seen")), "seen is None: Object missing required field"),
         (of_ranges(x1=[2.0, 1.0]), "ends before it begins"),
         (
@@ -90,7 +90,7 @@ REFUSED = {
         (of_schema(horizon=True), "horizon is True"),
         (of_schema(horizon=3), "possible is"),
         (of_schema(covariates=["x1"]), "'coefficients' is float64 of shape [2, 3, 3]"),
-        (of_schema(covariates=["x1", "x1"]), "each has a name of its own"),
+        (of_schema(covariates=["x1", "x1"]), "names must differ"),
         (of_schema(actions=["A", "B", 0.5]), "actions[2] is 0.5: Expected `int | str`, got `float`"),
         (record(lambda r: r["schema"]["possible"][1].append("D")), "possible is"),
         (of_record(kind="table"), "looks at features None"),
@@ -102,24 +102,24 @@ REFUSED = {
         (of_record(verdict="better"), "verdict is 'better': Expected `object | null`"),
         (of_record(warnings=[3]), "warnings[0] is 3: Expected `str`"),
         *((content(RECORD, text), RECORD) for text in (b"", b"[1]", b"{", b"\xff", b"[" * 100_000)),
-        (content(ARRAYS, b"\x80\x04." + bytes(40)), "it is no safetensors file"),
+        (content(ARRAYS, b"\x80\x04." + bytes(40)), "it is not a safetensors file"),
         (number("coefficients", (1, 2, 0), np.nan), "'coefficients' holds nan at [1, 2, 0]"),
         (number("coefficients", (1, 2, 0), np.inf), "'coefficients' holds inf at [1, 2, 0]"),
         (arrays(lambda a: a.pop("coefficients")), "'coefficients' is missing"),
         (array("coefficients", lambda a: a.astype(np.float32)), "is float32"),
         (array("coefficients", lambda a: a[:1]), "of shape [1, 3, 3]"),
-        (array("more", lambda _: np.zeros(2)), "'more' is none that a policy has"),
-        (array("grasp.chances", lambda _: np.zeros((3, 2, 2))), "'grasp.chances' is none that a policy has"),
+        (array("more", lambda _: np.zeros(2)), "'more' is unknown"),
+        (array("grasp.chances", lambda _: np.zeros((3, 2, 2))), "'grasp.chances' is unknown"),
         (array("kernel.centre", lambda _: np.zeros(2)), "'kernel.projection' is missing"),
-        (array("behaviour", lambda _: np.zeros((3, 2))), "the schema asks for float64 of shape [3, 3]"),
+        (array("behaviour", lambda _: np.zeros((3, 2))), "the schema needs float64 of shape [3, 3]"),
     ],
     "text": [
-        (of_schema(categories={"size": ["L", "S"]}), "categories are of size; each is of a covariate"),
+        (of_schema(categories={"size": ["L", "S"]}), "categories are of size; each must be of a covariate"),
         (of_schema(categories=["colour"]), "categories is ['colour']: Expected `object`, got `array`"),
         (of_colours("red", "red"), "colour is ['red', 'red']"),
         (of_colours(1, 2, 3), "categories is {'colour': [1, 2, 3]}: Expected `str`, got `int`"),
         (of_colours("red", "blue"), "array 'coefficients' is float64 of shape"),
-        (of_ranges(colour={"red": 0}), "seen[0]: colour is {'red': 0}; it counts no state"),
+        (of_ranges(colour={"red": 0}), "seen[0]: colour is {'red': 0}; a count is below 1"),
     ],
     "tables": [
         (of_features(version=0), "the policy looks at features"),
@@ -129,29 +129,29 @@ REFUSED = {
     ],
     "laws": [
         (of_features(version=0), "the policy looks at features"),
-        (of_schema(basis="hope"), "basis is 'hope'; it is model or rule"),
-        (of_schema(seen=["PUSH"]), "seen is ['PUSH']; it lists verbs, FINISH, WASH, LIFT"),
-        (of_schema(horizon=4), "horizon is 4, and 3 in the laws"),
+        (of_schema(basis="hope"), "basis is 'hope'; it must be model or rule"),
+        (of_schema(seen=["PUSH"]), "seen is ['PUSH']; it must list verbs of FINISH, WASH, LIFT"),
+        (of_schema(horizon=4), "horizon is 4, but 3 in the laws"),
         (record(lambda r: r["schema"].pop("laws")), "laws is None: Object missing required field"),
         (of_laws(transport_s="1"), "transport_s is '1': Expected `float`, got `str`"),
         (of_laws(horizon=0.5), "laws.horizon is 0.5: Expected `int`, got `float`"),
         (of_laws(seeing=None), "laws.seeing is None: Expected `object`, got `null`"),
         (
             of_seeing(family="magic"),
-            "laws.seeing.family is 'magic'; it is one of independent, persistent",
+            "laws.seeing.family is 'magic'; it must be one of independent, persistent",
         ),
         (of_seeing(more=1.0), "Object contains unknown field `more`"),
         (of_seeing(floor=[0.5]), "laws.seeing.floor is [0.5]: Expected `float`, got `array`"),
         (of_schema(dirty_share=1.0), "dirty_share is 1.0"),
         (arrays(lambda a: a.pop("excess.low")), "array 'excess.low' is missing"),
-        (array("excess.high", lambda a: a[:1]), "asks for float32 of shape [3, 2]"),
+        (array("excess.high", lambda a: a[:1]), "needs float32 of shape [3, 2]"),
         (number("excess.coefficients", (1, 0, 3), np.nan), "'excess.coefficients' holds nan at [1, 0, 3]"),
         (array("mending.recorded", lambda _: np.float32([0.0, 1.0])), "array 'mending."),
         (
             arrays(lambda a: a.update({f"mending.{name}": np.float32([1.0, 0.0]) for name in ("recorded", "mended")})),
-            "mending.recorded and mending.mended rise",
+            "mending.recorded and mending.mended must rise",
         ),
-        (of_schema(basis="rule"), "array 'excess.coefficients' is none that a policy has"),
+        (of_schema(basis="rule"), "array 'excess.coefficients' is unknown"),
     ],
     "team": [
         (of_record(version=1), "version 1 is not the 2 that halfseen"),
@@ -162,7 +162,7 @@ REFUSED = {
         (of_schema(num_robots=4), "num_robots is 4, and horizon 6"),
         (
             record(lambda r: (r["schema"].update(horizon=8), r["schema"].pop("seen"))),
-            "asks for float32 of shape [8, 1, ",
+            "needs float32 of shape [8, 1, ",
         ),
         (of_features(version=0), "the policy looks at features {'of': 'team', 'version': 0"),
         (of_schema(actions=["FINISH"]), "the policy looks at features"),
@@ -170,8 +170,8 @@ REFUSED = {
         (record(lambda r: r["schema"]["seen"][0].append("PUSH")), "seen is"),
         (of_record(seen=[{}]), "seen[0].stages is None: Object missing required field"),
         (of_record(kind="table"), "the policy looks at features"),
-        (record(lambda r: r["schema"]["alone"].pop()), "it tells of each of 2 robots"),
-        (of_alone(0, horizon=4), "it lists verbs for each number of steps to go"),
+        (record(lambda r: r["schema"]["alone"].pop()), "it must describe each of 2 robots"),
+        (of_alone(0, horizon=4), "it must list verbs for each number of steps to go"),
         (of_alone(1, features={}), "the policy looks at features {}"),
         (arrays(lambda a: a.pop("coefficients")), "'coefficients' is missing"),
         (array("coefficients", lambda a: a.astype(np.float64)), "is float64"),
@@ -180,7 +180,7 @@ REFUSED = {
         (number("alone.0.margin", (2, 0, 0, 2), np.inf), "'margin' holds inf at [2, 0, 0, 2]"),
         (array("alone.0.margin", lambda a: a[..., 1:]), "array 'margin' is float32 of shape"),
         (array("alone.1.behaviour", lambda a: a[:, 1:]), "array 'behaviour' is float32 of shape"),
-        (array("more", lambda _: np.zeros(2, dtype=np.float32)), "'more' is none that a policy has"),
+        (array("more", lambda _: np.zeros(2, dtype=np.float32)), "'more' is unknown"),
         (arrays(lambda a: a.pop("alone.1.coefficients")), "array 'coefficients' is missing"),
         (array("alone.2.coefficients", lambda _: np.zeros((6, 1, 9), np.float32)), "belongs to no robot"),
         (array("caution", lambda _: np.float32([1.0, 2.0])), "caution is [1.0, 2.0]"),
@@ -225,7 +225,7 @@ def test_nonsense_anywhere_in_the_schema_is_refused_or_harmless(copied, kind):
 
 def test_what_is_there_is_replaced_only_when_asked_and_only_a_policy(written, logs, fitted, tmp_path):
     flat, before = logs["flat"], (written / RECORD).read_bytes()
-    with pytest.raises(ArgumentError, match="it is there already"):
+    with pytest.raises(ArgumentError, match="it already exists"):
         write_policy(fitted["flat"], flat, written)
     assert (written / RECORD).read_bytes() == before
     write_policy(FLAT(random_state=5).fit(flat), flat, written, overwrite=True)
@@ -259,7 +259,7 @@ def test_what_a_kill_between_two_renames_left_aside_is_told_of(written, logs, fi
         write_policy(fitted["flat"], logs["flat"], written, overwrite=True)
     monkeypatch.undo()
     (aside,) = written.parent.iterdir()
-    assert f"what was there is {aside}: rename it back" in told(written)
+    assert f"the previous folder is {aside}: rename it back" in told(written)
     aside.rename(written)
     read_policy(written)
 
@@ -277,7 +277,7 @@ def test_what_no_folder_can_hold_is_refused(logs, fitted, tmp_path):
     with pytest.raises(ArgumentError, match="grasp is a Mine"):
         write("tables", grasp=Mine())
     for factor in (np.nan, 1e38):
-        with pytest.raises(PolicyError, match=r"it is finite, and 1e\+30 at most"):
+        with pytest.raises(PolicyError, match=r"it must be finite and at most 1e\+30"):
             write("flat", coefficients=fitted["flat"].policy_.coefficients * factor)
     with pytest.raises(ArgumentError, match="base is a UniformPolicy, whose code a folder cannot hold"):
         write("team", base=UniformPolicy())

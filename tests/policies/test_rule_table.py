@@ -98,7 +98,7 @@ def test_text_may_hold_the_word_and_or_look_like_a_number(tmp_path):
     rule = read_rule_table(written(tmp_path, text), horizon=1)
     assert chosen_by(rule, 1, parts) == ["A", "B", "C", "D"]
     assert [rule.action(dict(row), 1) for _, row in parts.iterrows()] == ["A", "B", "C", "D"]
-    with pytest.raises(ArgumentError, match="x is '> 1 and heavy', which is no condition"):
+    with pytest.raises(ArgumentError, match="x is '> 1 and heavy', which is not a condition"):
         read_rule_table(written(tmp_path, "x,action\n> 1 and heavy,A\n,B\n"), horizon=1)
 
 
@@ -109,20 +109,20 @@ def test_text_may_hold_the_word_and_or_look_like_a_number(tmp_path):
         ("stage,act\n1,A\n", "rule.csv", "name each column once, one of them 'action'"),
         ("x,x,action\n1,2,A\n", "rule.csv", "name each column once"),
         ("x,action\n", "rule.csv", "no rows"),
-        ("x,action\n1,A,B\n", "rule.csv", "row 1 has 3 cells, and the first line 2"),
+        ("x,action\n1,A,B\n", "rule.csv", "row 1 has 3 cells, but the first line 2"),
         ("x,action\n1,\n,A\n", "rule.csv", "row 1: action is ''"),
         ("x,action\n1,A\n", "rule.csv", "the last row has conditions"),
-        ("x,action\n1,A\n,B\n2,A\n,B\n", "rule.csv", "row 2 asks nothing, so those below it"),
-        ("x,action\n>> 1,A\n,B\n", "rule.csv", "row 1: x is '>> 1', which is no condition"),
-        ("x,action\n> heavy,A\n,B\n", "rule.csv", "row 1: x is '> heavy', which is no condition"),
-        ("x,action\n>,A\n,B\n", "rule.csv", "row 1: x is '>', which is no condition"),
-        ("x,action\n< nan,A\n,B\n", "rule.csv", "row 1: x is '< nan', which is no condition"),
-        ("stage,action\nfirst,A\n,B\n", "rule.csv", "row 1: stage is 'first', which is no condition"),
+        ("x,action\n1,A\n,B\n2,A\n,B\n", "rule.csv", "row 2 has no conditions, so rows below it"),
+        ("x,action\n>> 1,A\n,B\n", "rule.csv", "row 1: x is '>> 1', which is not a condition"),
+        ("x,action\n> heavy,A\n,B\n", "rule.csv", "row 1: x is '> heavy', which is not a condition"),
+        ("x,action\n>,A\n,B\n", "rule.csv", "row 1: x is '>', which is not a condition"),
+        ("x,action\n< nan,A\n,B\n", "rule.csv", "row 1: x is '< nan', which is not a condition"),
+        ("stage,action\nfirst,A\n,B\n", "rule.csv", "row 1: stage is 'first', which is not a condition"),
         ("x = ", "rule.toml", "cannot be read as a rule"),
         ("", "rule.toml", "it holds nothing; give"),
         ("rule = 1", "rule.toml", "it holds rule; give"),
         ("[[rule]]\nif = 1\naction = 'A'", "rule.toml", "row 1 has an unknown key 'if'"),
-        ("[[rule]]\nwhen = 1\naction = 'A'", "rule.toml", "row 1 has a 'when' that is no table"),
+        ("[[rule]]\nwhen = 1\naction = 'A'", "rule.toml", "row 1 has a 'when' that is not a table"),
         ("[[rule]]\nwhen = {x = 1}", "rule.toml", "row 1: action is ''"),
         ("[[rule]]\naction = true", "rule.toml", "row 1: action is True"),
         ("x,action\n1,A\n", "rule.txt", "ends in .csv or .toml"),
@@ -140,10 +140,20 @@ def test_what_is_no_rule_is_told_in_one_line(tmp_path, text, name, message):
 @pytest.mark.parametrize(
     ("condition", "parts", "error", "message"),
     [
-        ("reward,action\n> 1,A", PARTS, ArgumentError, "asks for 'reward', which no decision can rest on; ask for cov"),
-        ("size,action\n1,A", PARTS, ArgumentError, "asks for 'size', and the log has none; there are weight_kg"),
-        ("colour,action\n> 1,A", PARTS, ArgumentError, "colour > 1.0, and colour holds no numbers"),
-        ("shine,action\nhigh,A", PARTS, ArgumentError, "shine = high, and shine holds numbers"),
+        (
+            "reward,action\n> 1,A",
+            PARTS,
+            ArgumentError,
+            "asks for 'reward', which is unknown when deciding; ask for cov",
+        ),
+        (
+            "size,action\n1,A",
+            PARTS,
+            ArgumentError,
+            "asks for 'size', but the log has no such column; give one of weight_kg",
+        ),
+        ("colour,action\n> 1,A", PARTS, ArgumentError, "colour > 1.0, but colour holds no numbers"),
+        ("shine,action\nhigh,A", PARTS, ArgumentError, "shine = high, but shine holds numbers"),
         (
             "shine,action\n1,A",
             pd.DataFrame({"trajectory": [4, 7], "stage": [2, 2], "shine": [0.1, None]}),
@@ -161,7 +171,7 @@ def test_covariates_that_do_not_fit_the_rule(tmp_path, condition, parts, error, 
 def test_a_function_names_one_of_its_actions_for_each_row():
     heavy = Rule(lambda parts, stage: np.where(parts["weight_kg"] > stage, "A", "B"), ("B", "A"), horizon=2)
     np.testing.assert_array_equal(heavy.probabilities(PARTS, 2), [[1, 0], [1, 0], [1, 0], [0, 1]])
-    with pytest.raises(ArgumentError, match="took 'C', which is none of its actions"):
+    with pytest.raises(ArgumentError, match="took 'C', which is not one of its actions"):
         Rule(lambda parts, stage: ["C"] * len(parts), ("A",), 1).probabilities(PARTS, 1)
     with pytest.raises(ArgumentError, match=r"gave shape \(\) for 4 rows"):
         Rule(lambda parts, stage: "A", ("A",), 1).probabilities(PARTS, 1)
@@ -202,13 +212,13 @@ def test_what_is_drawn_has_the_probability_that_is_told():
     ("text", "said"),
     [
         ("action\nlook\n", "name each column once, one of them 'probability'"),
-        ("action,probability\nlock,0.2\n", "row 1: there is no action lock; there are look, grasp, shake; did you"),
-        ("cluter,action,probability\n1,look,0.2\n", "row 1: there is no column cluter"),
+        ("action,probability\nlock,0.2\n", "row 1: unknown action lock; give one of look, grasp, shake; did you"),
+        ("cluter,action,probability\n1,look,0.2\n", "row 1: unknown column cluter"),
         ("action,probability\nlook,1\n", "row 1: probability is '1'; give a number between 0 and 1"),
         ("action,probability\nlook,often\n", "row 1: probability is 'often'"),
-        ("clutter,action,probability\nnan,look,0.2\n", "row 1: clutter is 'nan', and the policy knows numbers of it"),
-        ("colour,action,probability\n> 1,look,0.2\n", "row 1: colour is 1.0, and the policy knows text of it"),
-        ("clutter,action,probability\n< ,look,0.2\n", "row 1: clutter is '<', which is no condition"),
+        ("clutter,action,probability\nnan,look,0.2\n", "row 1: clutter is 'nan'; give numbers, as in the policy"),
+        ("colour,action,probability\n> 1,look,0.2\n", "row 1: colour is 1.0; give text, as in the policy"),
+        ("clutter,action,probability\n< ,look,0.2\n", "row 1: clutter is '<', which is not a condition"),
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, text, said):
@@ -226,7 +236,7 @@ def test_one_state_is_decided_as_many_are(tmp_path):
     for stage in (1, 2):
         many = np.array(rule.actions, dtype=object)[rule.probabilities(frame, stage).argmax(axis=1)]
         assert [rule.action(dict(row), stage) for _, row in frame.iterrows()] == many.tolist()
-    with pytest.raises(ArgumentError, match=r"asks for x > 0\.5, and x is None"):
+    with pytest.raises(ArgumentError, match=r"asks for x > 0\.5, but x is None"):
         rule.action({"colour": "blue"}, 1)
-    with pytest.raises(ArgumentError, match="asks for colour = red, and colour is 1"):
+    with pytest.raises(ArgumentError, match="asks for colour = red, but colour is 1"):
         rule.action({"colour": 1}, 2)

@@ -236,7 +236,7 @@ def test_what_cannot_be_gone_on_from_leaves_the_trajectory_as_it_was(recorded, s
     assert "stage is 1, but the trajectory in progress has come to 2" in refused(post(recorded, cloud, stage="1"), 409)
     assert "it came as a cloud, and now JSON" in refused(recorded.post("/decide", json={"objects": bare}), 409)
     assert refused(post(recorded, b"VERSION .7\n"), 422).startswith("cloud.pcd: ")
-    assert "where it is cleared, the trajectory is over" in refused(post(recorded, shows()), 422)
+    assert "if it is cleared, the trajectory is over" in refused(post(recorded, shows()), 422)
     assert "of another table" in refused(post(recorded, shows(ELSEWHERE)), 422)
     assert "labels.csv: object 0 of 3" in refused(post(recorded, cloud, "object,label\n"), 422)
     assert (journal(), recorded.get("/health").json()) == (before, where)

@@ -76,8 +76,8 @@ def test_what_has_no_rule_is_refused_in_one_line(tmp_path):
         for name in ("x", "colour"):
             line = refused(client.post("/decide", json={"x": 1.0, "colour": "red", name: None}), 422)
             assert f"covariate {name!r} is null" in line
-            assert f"leave the state out, or learn the policy by --missing {name}=median+flag" in line
-        assert "there is no 'x'" in refused(client.post("/decide", json={"colour": "red"}), 422)
+            assert f"leave the state out, or learn the policy with --missing {name}=median+flag" in line
+        assert "'x' is missing (given: colour)" in refused(client.post("/decide", json={"colour": "red"}), 422)
 
 
 def test_a_policy_with_a_flag_records_on_after_one_without_and_the_other_way_round(folder, tmp_path):

@@ -92,13 +92,13 @@ def test_a_rule_file_decides_and_where_it_cannot_the_usual_action_does(flat, tmp
         lacking = decided(client, x1=800, x2=2)
     assert told == ["A", "C"]
     assert lacking["action"] == usual(logs, 1)
-    assert "for the rule rule.csv fails: the rule asks for seen_by = left, and seen_by is None" in lacking["reason"]
+    assert "as the rule rule.csv fails: the rule asks for seen_by = left, but seen_by is None" in lacking["reason"]
     rule.write_text("action\nD\n")
-    with pytest.raises(ValueError, match=r"rule\.csv: there is no action D; there are A, B, C"):
+    with pytest.raises(ValueError, match=r"rule\.csv: unknown action D; give one of A, B, C"):
         Served(flat, rule=rule)
     # Otherwise that row would fail in each state, and the usual action be taken.
     rule.write_text("x1,action\nhigh,B\n,A\n")
-    with pytest.raises(ValueError, match=r"rule\.csv: row 1: x1 is 'high', and the policy knows numbers of it"):
+    with pytest.raises(ValueError, match=r"rule\.csv: row 1: x1 is 'high'; give numbers"):
         Served(flat, rule=rule)
 
 
@@ -107,7 +107,7 @@ def test_a_rule_that_asks_for_what_the_policy_does_not_is_told_of(flat, tmp_path
     # It is told before the address is found not to be of this machine.
     words = [str(flat), "--fall-back", str(tmp_path / "rule.csv"), "--host", "192.0.2.1", "--token", "a" * 16]
     told = CliRunner().invoke(serve, words)
-    assert "rule.csv: the rule asks for x_1, and the policy does not; where a request lacks it" in told.output
+    assert "rule.csv: the rule asks for x_1, which the policy does not use; if a request lacks it" in told.output
     assert "did you mean 'x1'?" in told.output
     assert isinstance(told.exception, ArgumentError)
     logs = flat_log()

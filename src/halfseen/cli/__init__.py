@@ -19,18 +19,18 @@ from halfseen.progress import Telling, telling
 VERBS = {
     "inspect": "Say what a folder of logs holds: trajectories, endings, causes, weights, and what looks wrong.",
     "learn": "Learn a policy from a folder of logs.",
-    "evaluate": "Say what a policy is worth, from logs of another one, before it runs.",
-    "act": "Decide at one table, and say why.",
-    "serve": "Answer over HTTP what to do now, and record what was decided.",
+    "evaluate": "Estimate what a policy is worth, from logs of another policy, before it runs.",
+    "act": "Decide what to do now, and say why.",
+    "serve": "Answer over HTTP what to do now, and record the decisions.",
     "monitor": "Say whether a policy in service keeps its promise, what has changed, and since when.",
     "export": "Write a policy of named actions as ONNX, for controllers without Python.",
     "watch": "Show in the browser what was seen and decided, in 3-D, and why.",
     "report": "Write one page about a folder of logs and a policy.",
     "convert": "Convert logs of other programs: CSV, SQL, bags, MCAP, Minari, LeRobot, RLDS, D4RL.",
     "look": "Say what a depth camera sees on a table, who hides whom, and what looks dirty.",
-    "record": "Record what a program in any language says, in JSON lines.",
+    "record": "Record logs from a program in any language, as JSON lines.",
     "simulate": "Record logs of a policy in the simulated world, some of them cut.",
-    "cell": "Let a simulated arm work in physics: calibrate its laws, or run a policy.",
+    "cell": "Simulate an arm in physics: calibrate its laws, or run a policy.",
     "study": "Regenerate the study: its figures, tables and report.",
 }
 MODULES = {
@@ -94,8 +94,8 @@ class VerbGroup(click.Group):
         name = args[0]
         if name not in self.verbs and name[:1].isalnum():
             where = f" of {ctx.info_name}" if ctx.parent else ""
-            there = f"there are {', '.join(self.verbs)}{did_you_mean(name, self.verbs)}"
-            ctx.fail(f"{name}: there is no such command{where}; {there}")
+            there = f"give one of {', '.join(self.verbs)}{did_you_mean(name, self.verbs)}"
+            ctx.fail(f"{name}: unknown command{where}; {there}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -181,5 +181,5 @@ def _of_option(error: click.NoSuchOption) -> str:
     """Message for an unknown option, with a suggestion."""
     params = [] if error.ctx is None else error.ctx.command.get_params(error.ctx)
     known = [name for param in params for name in (*param.opts, *param.secondary_opts) if name.startswith("--")]
-    ending = did_you_mean(error.option_name, known) or "; --help lists those that there are"
-    return f"there is no option {error.option_name}{ending}"
+    ending = did_you_mean(error.option_name, known) or "; --help lists the options"
+    return f"unknown option {error.option_name}{ending}"

@@ -24,18 +24,18 @@ if TYPE_CHECKING:
 
 
 PICTURES = (".png", ".svg")
-UNKNOWN = "How sure this is nobody knows: the policy was learned without pessimism, and holds no error of its Q."
+UNKNOWN = "The uncertainty is unknown: the policy was learned without pessimism, so it holds no standard errors of Q."
 
 
 @click.command(epilog="Example: halfseen act policy table.pcd --history logs")
 @click.argument("policy", type=options.PATH)
 @click.argument("cloud", type=options.PATH)
-@options.path("--history", text="Of a table: logs whose last trajectory is the one so far.")
+@options.path("--history", text="For a table: logs whose last trajectory is the current one.")
 @options.whole(
-    "--stage", least=1, most=options.MOST_STAGES, text="Stage to decide, from 1; by default as the input says, or 1."
+    "--stage", least=1, most=options.MOST_STAGES, text="Stage to decide, from 1; by default that of the input, or 1."
 )
 @options.labels
-@options.law(None, f"Of a table, where it is {SHIPPED} by default. ")
+@options.law(None, f"For a table; by default {SHIPPED}. ")
 @options.path("--picture", text="Draw the decision into this .png or .svg file.")
 @options.overwrite("a picture that is")
 @options.extrapolate
@@ -53,19 +53,18 @@ def act(
     extrapolate: bool,
     as_json: bool,
 ) -> None:
-    """Decide what to do now, by the policy in the folder POLICY, and say why, and how sure that is.
+    """Decide what to do now by the policy in the folder POLICY, and say why, and how certain that is.
 
-    For a policy of tables, CLOUD is a point cloud as `halfseen look` takes; if it has colour, what looks dirty counts.
-    --history tells what was seen and tried on this table before. --law says what a label is worth, to policies that
-    learned from logs which count how much of an object has been in view; to others every look is news. Where not all
-    on the table are cups, that is said first.
+    For a policy of tables, CLOUD is a point cloud as for `halfseen look`; with colour, it also shows what looks dirty.
+    --history gives what was seen and tried on this table before. --law gives the accuracy of labels, for policies
+    whose logs record how much of an object has been in view; for others, every look is new evidence. If not all
+    objects on the table are cups, the answer says so first.
 
     For a policy of named actions, CLOUD is a JSON object such as {"x1": 0.3, "x2": 1, "stage": 2}, or a CSV file with a
     header and one row.
 
-    Beside each value, which is what the policy goes by, stand a 95 % interval of Q and the chance that no action is
-    better, for policies that were learned with pessimism. What lies farther outside the logs than these reach is
-    refused.
+    For policies that were learned with pessimism, each value, by which the policy decides, comes with a 95 % interval
+    of Q and the probability that no action is better. States too far outside the logs are refused.
     """
     from halfseen.policies import decider_of, read_policy
     from halfseen.policies.folder.stored import UNDECIDED, refuse_team, sources_in_words
@@ -77,8 +76,8 @@ def act(
     refuse_team(stored, UNDECIDED, policy)
     if law is not None and not stored.counts_views:
         raise ArgumentError(
-            f"--law is {law}, but the policy learned from logs that do not count what has been in view, so that every "
-            "label is news to it; leave --law out"
+            f"--law is {law}, but the logs of the policy do not record how much of an object has been in view, so "
+            "every label is new evidence; leave --law out"
         )
     known = law_of(law or SHIPPED) if stored.counts_views else None
     table = None
@@ -125,7 +124,7 @@ def _lines(decision: "Decision", seen: str, other_things: str, stage: int, horiz
 @click.command(epilog="Example: halfseen export policy --onnx policy.onnx")
 @click.argument("policy", type=options.PATH)
 @options.path("--onnx", required=True, metavar="FILE", text="Write an ONNX model: an .onnx file.")
-@options.whole("--objects", least=1, most=100, text="Most objects of a table; by default as in the log.")
+@options.whole("--objects", least=1, most=100, text="Largest number of objects on a table; by default that of the log.")
 @options.overwrite("a file that is")
 @options.unused_seed
 def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool) -> None:
@@ -137,9 +136,8 @@ def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool) -> No
     Of tables, it takes the fields of TableState as halfseen.world describes them, for a fixed number of objects; it
     gives scores, one for each action, and the number of the best.
 
-    Names of actions and covariates are in its metadata, with what is to stand for those that are missing, which it does
-    not fill in. It refuses nothing: what lies far outside the logs is for the
-    controller to look at.
+    Names of actions and covariates are in its metadata, with the values that replace missing covariates, which it does
+    not fill in. It refuses nothing: the controller must check for states far outside the logs.
     """
     from halfseen.policies import read_policy
     from halfseen.policies.onnx_model import onnx_model
@@ -155,15 +153,18 @@ ALARM, NOT_JUDGED = 3, 2  # exit status
 
 @click.command(epilog="Example: halfseen monitor policy --logs next-logs --follow --page service.html")
 @click.argument("policy", type=options.PATH)
-@options.path("--logs", required=True, text="Folder of logs of its service, such as serve --record writes.")
-@options.flag("--follow", text="Go on as the log grows, until there is an alarm.")
-@options.real("--every", min=0.1, max=86400.0, default=10.0, text="Of --follow: seconds between two looks at the log.")
+@options.path("--logs", required=True, text="Folder of logs of the policy in service, such as serve --record writes.")
+@options.flag("--follow", text="Keep watching as the log grows, until there is an alarm.")
+@options.real(
+    "--every", min=0.1, max=86400.0, default=10.0, text="With --follow: seconds between two reads of the log."
+)
 @click.option(
     "--since",
     metavar="TRAJECTORY|DATE",
-    help="Watch anew from the trajectory of this name on, or from a date on, as after mending; it is then the first.",
+    help="Start again at the trajectory with this name, or at a date, such as after a repair; it then counts as the "
+    "first.",
 )
-@options.path("--page", text="Write a page with the course of things.")
+@options.path("--page", text="Write a page that shows the results over time.")
 @options.overwrite("a page that is")
 @options.as_json
 @options.seed("ties between equal values")

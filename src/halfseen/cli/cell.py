@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 GL = "MUJOCO_GL"
 COMMANDS = {
-    "calibrate": "Let the cell try, and estimate its laws of grasping and seeing from that.",
+    "calibrate": "Make grasp attempts, and estimate the laws of grasping and seeing from them.",
     "run": "Let a policy clear fresh tables in physics, and record it.",
     "film": "Film how a policy clears one table.",
 }
@@ -84,9 +84,9 @@ def start_opengl() -> None:
     least=0,
     most=options.MOST_EPISODES,
     default=0,
-    text="Attempts to begin on the same tables with grasps that are planned from visible points alone, as a contrast.",
+    text="Attempts to begin on the same tables with grasps planned from visible points alone, for comparison.",
 )
-@options.path("--from", "given", text="Fit the attempts of a law's folder, or of logs, again, and try nothing.")
+@options.path("--from", "given", text="Fit the attempts in the folder of a law, or in logs, again; make no new ones.")
 @options.arm
 @options.workers
 @options.seed("law")
@@ -103,10 +103,10 @@ def calibrate(
     as_json: bool,
     overwrite: bool,
 ) -> None:
-    """Let the cell lift what stands on fresh tables, at random, and estimate its laws from that.
+    """Lift random objects on fresh tables, and estimate the laws of the cell from these attempts.
 
-    Tables are cut by what cuts a cell: an attempt that takes too long, an emergency stop, a lost camera. The folder
-    holds the law and its attempts. A run that was stopped goes on where it was, if it is called again.
+    Tables are cut as in a real cell: by an attempt that takes too long, an emergency stop, or a lost camera. The folder
+    holds the law and its attempts. The same command continues a run that was stopped.
     """
     load_mujoco()
     from halfseen.cell.calibration.attempts import HORIZON
@@ -119,7 +119,7 @@ def calibrate(
     refuse = partial(check_target, out, overwrite, LAW)
     refuse()
     if given is not None and arm.file is not None:
-        raise ArgumentError(f"--arm is {arm.file}, but {given} holds attempts of some arm already; leave it out")
+        raise ArgumentError(f"--arm is {arm.file}, but {given} already holds attempts of an arm; leave --arm out")
     stations, arm_name = stations_for(arm)
     origin: dict[str, Any] = {"seed": seed, "arm": arm_name}
 

@@ -27,7 +27,7 @@ policy_option = click.option(
     "--policy",
     "name",
     required=True,
-    help=f"Who decides: the folder of a policy of tables, of two arms that of a team's, or {', '.join(NAMES)}.",
+    help=f"Policy: the folder of a policy of tables (for two arms, of a team), or {', '.join(NAMES)}.",
 )
 DRAWING = 3  # work of drawing, in units of one decision and its action
 
@@ -39,13 +39,13 @@ DRAWING = 3  # work of drawing, in units of one decision and its action
     "--tables", "num_tables", least=2, most=options.MOST_EPISODES, default=50, text="Number of fresh tables."
 )
 @options.law(options.SHIPPED)
-@click.option("--stops/--no-stops", default=True, help="Whether something may cut a table.")
+@click.option("--stops/--no-stops", default=True, help="Whether tables may be cut.")
 @options.real(
     "--random-share",
     min=0.0,
     max=1.0,
     default=0.0,
-    text="Probability that a step takes an action uniformly at random instead, for logs that are learned from.",
+    text="Probability that a step takes an action uniformly at random instead, for logs to learn from.",
 )
 @options.flag("--watch", "is_watched", text="Show it in the browser as it runs, until Ctrl+C.")
 @options.port
@@ -75,10 +75,10 @@ def run(
 ) -> None:
     """Let a policy clear fresh tables in physics: look, decide, act, look again, until FINISH, ten steps or a cut.
 
-    The same seed gives every policy the same tables. What comes of it stands beside what the simulated world foretells
-    for them under the law. A run that was stopped goes on where it was, if it is called again. --watch and --record
-    follow the tables in one process; tables that were over before are not shown. Two arms follow the policy of a team,
-    which decides for the one that is free; the ten steps are each arm's.
+    The same seed gives every policy the same tables. The results stand beside what the simulated world predicts for
+    these tables under the law. The same command continues a run that was stopped. --watch and --record follow the
+    tables in one process; tables that were finished before are not shown. Two arms follow the policy of a team, which
+    decides for the one that is free; each arm has ten steps.
     """
     load_mujoco()
     from halfseen.cell.campaign import Campaign, Conditions, logs_of, working_folder
@@ -129,11 +129,11 @@ def _lines(report: dict[str, Any]) -> list[str]:
 
     def estimated(estimate: dict[str, float] | None) -> str:
         if estimate is None:
-            return "inconclusive: fewer than two tables came to their own end"
+            return "inconclusive: fewer than two tables were finished"
         return f"{estimate['value']:+.2f} ({estimate['low']:+.2f} to {estimate['high']:+.2f})"
 
     earned, together = f"reward in physics   {estimated(report['reward'])}", report["together"]
-    predicted = [] if report["predicted"] is None else [f"foretold            {estimated(report['predicted'])}"]
+    predicted = [] if report["predicted"] is None else [f"predicted           {estimated(report['predicted'])}"]
     gaps = [
         f"gap                 {estimated(report['gap'])}",
         f"  without luck      {estimated(report['gap_without_luck'])}",
@@ -203,7 +203,7 @@ def _following(
 def film(
     name: str, out: Path, law: str, table: int, num_arms: int, arm: options.Arm, seed: int, overwrite: bool
 ) -> None:
-    """Film how a policy clears a table in physics, eight times faster than it was, and say what it decides.
+    """Film how a policy clears a table in physics, eight times faster than real time, with its decisions.
 
     Seed and number give the same table as in `halfseen cell run`. Drawing needs OpenGL; nothing else of halfseen does.
     """

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from halfseen.logs import Logs
 
 CSV = "csv:"
-STEPS = "Of others' steps:"
+STEPS = "For datasets of steps:"
 
 
 HELP = """Read the logs of SOURCE and write them to another form, all or nothing.
@@ -46,24 +46,24 @@ recorded are left out.
 @click.argument("sources", metavar="SOURCE...", nargs=-1)
 @click.option("--out", "target", help="FOLDER of Parquet, csv:FOLDER, or minari:NAME-v0.")
 @options.flag("--check", "is_check", text="Only say what --out cannot hold; status 1 if anything is lost.")
-@options.path("--mapping", text="Of a bag: which topic carries what; of a table: which column; of sql: SELECTs (TOML).")
+@options.path("--mapping", text="What holds what (TOML): for a bag, topics; for a table, columns; for sql, SELECTs.")
 @options.flag(
     "--mapping-template",
     "is_template",
-    text="Print a mapping file to start from, of a table its own, or write it to --out.",
+    text="Print a template of a mapping file, for a table from its columns, or write it to --out.",
 )
-@options.path("--clouds", text="Of a bag: write each stage's cloud there as .pcd.")
-@options.flag("--see", text="Of a bag: what each stage's cloud shows becomes its objects.")
-@click.option("--stages", metavar="SELECT", help="Of sql: the rows that are the stages, by the columns of a log.")
-@click.option("--trajectories", metavar="SELECT", help="Of sql: the rows that are the trajectories.")
-@click.option("--objects", metavar="SELECT", help="Of sql: the rows that are the objects, if there are any.")
+@options.path("--clouds", text="For a bag: folder to write each stage's cloud to, as .pcd.")
+@options.flag("--see", text="For a bag: take as objects of each stage what its cloud shows.")
+@click.option("--stages", metavar="SELECT", help="For sql: the stages, with the columns of a log.")
+@click.option("--trajectories", metavar="SELECT", help="For sql: the trajectories.")
+@click.option("--objects", metavar="SELECT", help="For sql: the objects, if there are any.")
 @click.option("--action", metavar="NAME", help=f"{STEPS} the column that holds the action.")
 @click.option("--reward", metavar="NAME", help=f"{STEPS} the column that holds the reward.")
 @click.option("--done", metavar="NAME", help=f"{STEPS} the column that is true where an episode terminated.")
 @click.option("--clock", metavar="NAME", help=f"{STEPS} the column (Minari: the info) that holds the time [s].")
 @click.option("--step-s", type=float, help=f"{STEPS} how long a step lasts [s].")
 @options.word(
-    "--truncated", of=["cut", "finished"], text=f"{STEPS} what an episode is that did not terminate; by default cut."
+    "--truncated", of=["cut", "finished"], text=f"{STEPS} how an episode ended that did not terminate; by default cut."
 )
 @options.unused_seed
 @options.as_json
@@ -117,11 +117,13 @@ def _give_template(sources: tuple[str, ...], target: str | None) -> None:
     from halfseen.logs.formats import MAPPING_TEMPLATE, mapping_of
 
     if len(sources) > 1:
-        raise ArgumentError(f"--mapping-template is made from one SOURCE; {len(sources)} are given: name one of them")
+        raise ArgumentError(
+            f"--mapping-template is made from one SOURCE, but {len(sources)} are given; give one of them"
+        )
     if any(one.startswith(SQL) for one in sources):
         raise ArgumentError(
-            "--mapping-template is made from a file, and not from a database; save the rows of a SELECT as CSV, make "
-            "the mapping of that, and put the SELECT into it as table.query; or give --stages and --trajectories"
+            "--mapping-template is made from a file, not from a database; save the rows of a SELECT as CSV, make the "
+            "mapping from that file, and put the SELECT into it as table.query; or give --stages and --trajectories"
         )
     table = next((one for one in sources if kind_of(one, is_mapped=True) == "events"), None)
     text = MAPPING_TEMPLATE if table is None else mapping_of(tables_of_events(Path(table))[0])
@@ -146,15 +148,15 @@ def _lines(report: dict[str, Any], is_check: bool) -> list[str]:
     lost = [f"- {loss['sentence']}" for loss in report["losses"]]
     hidden = report["for_halfseen_alone"]
     lines = [f"{report['target']}: {report['sentence']}"]
-    lines += ["It would not be written whole:" if is_check else "What is lost:", *lost] if lost else []
+    lines += ["What would be lost:" if is_check else "What is lost:", *lost] if lost else []
     lines += ["Nothing would be lost."] if is_check and not lost else []
     from halfseen.logs.missing import share_of
 
     lines += [
-        f"Missing: {name} in {share_of(count, report['num_stages'])}; fill it in by --missing as you learn."
+        f"Missing: {name} in {share_of(count, report['num_stages'])}; fill it in with --missing when you learn."
         for name, count in report["missing"].items()
     ]
-    return lines + ([f"Kept as notes that halfseen alone reads: {', '.join(hidden)}."] if hidden else [])
+    return lines + ([f"Kept as notes that only halfseen reads: {', '.join(hidden)}."] if hidden else [])
 
 
 def _refuse_one_in_another(out: Path, clouds: Path | None) -> None:
@@ -163,16 +165,18 @@ def _refuse_one_in_another(out: Path, clouds: Path | None) -> None:
         return
     places = [Path(os.path.realpath(place)) for place in (out, clouds)]
     if any(one == other or one in other.parents for one, other in permutations(places)):
-        raise ArgumentError(f"--clouds {clouds}: it is --out, or one lies in the other; give each a folder of its own")
+        raise ArgumentError(f"--clouds {clouds}: it is --out, or one contains the other; give two separate folders")
 
 
 def _compact(sources: tuple[str, ...], target: str, is_check: bool, as_json: bool) -> None:
     from halfseen.logs import compact
 
     if is_check:
-        raise ArgumentError("--check is for one SOURCE; several folders become one of Parquet files, which holds them")
+        raise ArgumentError(
+            "--check is for one SOURCE; several folders become one folder of Parquet files, which holds all of them"
+        )
     if target.startswith((CSV, MINARI)):
-        raise ArgumentError(f"--out is {target}; several folders become one of Parquet files: give a FOLDER")
+        raise ArgumentError(f"--out is {target}; several folders become one folder of Parquet files: give a FOLDER")
     with Progress(2 * len(sources), "convert", "folders") as bar:
         done = compact(sources, target, on_progress=bar.update)
     words = f"{done.num_trajectories} trajectories with {done.num_stages} stages from {done.num_folders} folders"

@@ -29,22 +29,24 @@ WORK = {"start": 1, "evaluate": 4}  # relative time of each step, roughly
 @options.path("--logs", text="Folder of logs that another policy made.")
 @options.against
 @options.flag("--world", "in_world", text="Play the tables of CLOUDS in the simulated world instead.")
-@options.law(None, f"Of --world, where it is {ASSUMED} by default. ")
-@options.team("Of --world: ")
+@options.law(None, f"With --world; by default {ASSUMED}. ")
+@options.team("With --world: ")
 @options.policys_censoring
 @options.word("--censoring-by", of=options.CLOCKS, text="Clock of the cuts, as in learn; by default the policy's own.")
 @options.names("--censoring-covariates", "What cuts may depend on, as x1,action; by default the policy's own.")
 @click.option(
     "--augmented/--simple",
     default=None,
-    help="Doubly robust towards cuts, or by weights alone; by default the first, if every action was logged.",
+    help="Doubly robust estimation for cuts, or weights alone; by default the former, if every action was logged.",
 )
 @options.propensity
 @options.missing
 @options.trust
 @options.policys_truncation
 @options.real("--level", min=0.0, max=1.0, min_open=True, max_open=True, default=0.95, text="Level of the intervals.")
-@options.whole("--episodes", least=2, most=options.MOST_EPISODES, default=10_000, text="Of --world: how many to play.")
+@options.whole(
+    "--episodes", least=2, most=options.MOST_EPISODES, default=10_000, text="With --world: number of episodes."
+)
 @options.workers
 @options.seed("numbers")
 @options.as_json
@@ -67,13 +69,13 @@ def evaluate(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Say what the policy in the folder POLICY is worth before it runs.
+    """Estimate what the policy in the folder POLICY is worth before it runs.
 
-    With --logs, from what another policy did, of which trajectories were cut: by importance sampling, by fitted Q
-    evaluation and doubly robust, and whether it is better than the policy that made the logs, than that without its
-    exploration, or than whatever --against names: "better" is better than each; where that takes long, workers do it.
-    With --world, by playing the tables of CLOUDS, by default the ten that come with halfseen, beside four heuristics; a
-    policy of a team by the robots of --team, and in no other way yet.
+    With --logs, from logs of another policy, some of whose trajectories were cut: by importance sampling, fitted Q
+    evaluation and doubly robust. The verdict says whether it is better than the logging policy, with and without its
+    exploration, or than each policy of --against: "better" means better than all. Workers share long work.
+    With --world, by playing the tables of CLOUDS, by default the ten that come with halfseen, beside four heuristics. A
+    policy of a team is evaluated only in this way, by the robots of --team.
     """
     from halfseen.policies.folder import read_policy
     from halfseen.policies.folder.record import plain
@@ -81,13 +83,13 @@ def evaluate(
     if in_world == (logs is not None):
         raise ArgumentError("give either --logs with a folder of logs, or --world to play in the simulated world")
     if clouds and not in_world:
-        raise ArgumentError(f"{clouds[0]}: clouds are tables to play with --world, and --logs is given; leave one out")
+        raise ArgumentError(f"{clouds[0]}: clouds are tables to play with --world, but --logs is given; leave one out")
     if law is not None and not in_world:
-        raise ArgumentError(f"--law is {law}, a law of the world that --world plays, and --logs is given; leave it out")
+        raise ArgumentError(f"--law is {law}, which is for --world, but --logs is given; leave --law out")
     if team is not None and not in_world:
-        raise ArgumentError(f"--team is {team}, robots of the world that --world plays; leave it out")
+        raise ArgumentError(f"--team is {team}, which is for --world, but --logs is given; leave --team out")
     if against and in_world:
-        raise ArgumentError("--against compares by logs, and --world plays the heuristics anyway; leave one out")
+        raise ArgumentError("--against is for --logs, and --world always compares with the heuristics; leave one out")
     stored = read_policy(policy)
     if logs is None:
         robots = _team_for(stored, policy, team)
@@ -119,7 +121,7 @@ def _by_logs(
         is_own, kept = log_digest(logs) == stored.record["log"].get("sha256"), None
         if not is_own and (promise := stored.record.get("promise")) is not None:
             kept = kept_promise(promise, logs, *earned_here(served, known, spec.q, answer))
-    flattered = "it was learned from these very logs, which flatters it; give logs that were kept aside for the test"
+    flattered = "the policy was learned from these logs, so the estimate is optimistic; give logs kept aside"
     notes = [*([flattered] if is_own else []), *by_rule, *answer.notes, *of_library]
     report = {
         "logs": str(folder),
@@ -140,10 +142,10 @@ def _team_for(stored: "StoredPolicy", policy: Path, file: Path | None) -> "Team 
     """The team for a policy; None for a single robot."""
     team = read_robots(file)
     if stored.num_robots != (None if team is None else len(team.robots)):
-        there = "nobody says which robots" if team is None else f"{file} has a team of {len(team.robots)}"
+        there = "no --team is given" if team is None else f"{file} has a team of {len(team.robots)}"
         raise PolicyError(
-            f"{policy}: it decides for {stored.whom}, and {there}; give the robots that made its logs by --team, or "
-            "leave that out where one robot made them"
+            f"{policy}: it decides for {stored.whom}, but {there}; give the robots that made its logs by --team, or "
+            "leave --team out if one robot made them"
         )
     return team
 
@@ -163,7 +165,7 @@ def _by_world(
     from halfseen.world import WorldConfig
 
     if not (stored.is_table or team):
-        raise ArgumentError("the policy takes named actions, and the simulated world is one of tables; give --logs")
+        raise ArgumentError("the policy takes named actions, but the simulated world has only tables; give --logs")
     num_robots = 1 if team is None else len(team.robots)
     with Progress(episodes * (1 + len(HEURISTICS)), "play", "episodes") as bar:
         law, config = law_of(name), WorldConfig(horizon=stored.horizon // num_robots)

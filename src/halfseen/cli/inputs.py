@@ -45,7 +45,7 @@ def law_folder(name: str, beside: Path | None = None) -> Path | None:
         return shipped_law()
     folder, where = (Path(name), f"--law {name}") if beside is None else (beside / name, name)
     if not folder.exists():
-        there = f"there is no such folder; let `halfseen cell calibrate` write one, or name {SHIPPED} or {ASSUMED}"
+        there = f"no such folder; write one with `halfseen cell calibrate`, or give {SHIPPED} or {ASSUMED}"
         raise ArgumentError(f"{where}: {there}{did_you_mean(name, (SHIPPED, ASSUMED))}")
     return folder
 
@@ -103,11 +103,11 @@ def stations_for(arm: Arm, num_arms: int = 1) -> "tuple[tuple[Station, ...], str
     if arm.file is None:
         for name, given in (("--flange", arm.flange), ("--joints", arm.joints)):
             if given is not None:
-                raise ArgumentError(f"{name} is of an arm from a file; give the file by --arm, or leave {name} out")
+                raise ArgumentError(f"{name} is for an arm from a file; give the file by --arm, or leave {name} out")
         return (Station(),) if num_arms == 1 else PAIR, Station().robot.arm.name
     if num_arms > 1:
         raise ArgumentError(
-            f"--arm is {arm.file} and --arms {num_arms}: only the usual arm stands there twice; leave one out"
+            f"--arm is {arm.file} and --arms is {num_arms}, but only the default arm can be used twice; leave one out"
         )
     given = ArmFile(arm.file, flange=arm.flange, joints=None if arm.joints is None else tuple(arm.joints))
     return (Station(robot_of(given)),), f"{arm.file.name} ({given.digest})"
@@ -132,20 +132,20 @@ def policy_for(name: str, random_share: float, config: "WorldConfig", num_arms: 
     from halfseen.policies import read_policy
 
     if not Path(name).exists():
-        there = f"there is no such folder; let `halfseen learn` write one, or name one of {', '.join(NAMES)}"
+        there = f"no such folder; write one with `halfseen learn`, or give one of {', '.join(NAMES)}"
         raise PolicyError(f"--policy {name}: {there}{did_you_mean(name, NAMES)}")
     stored, arms = read_policy(name), "one arm clears" if num_arms == 1 else f"{num_arms} arms clear"
     if num_arms != (stored.num_robots or (1 if stored.is_table else 0)):
         of_arms = "tables" if num_arms == 1 else f"{num_arms} arms"
         made_by = "`halfseen cell run`" if num_arms == 1 else f"`halfseen cell run --arms {num_arms}`"
         raise PolicyError(
-            f"{name}: it decides for {stored.whom}, and {arms} the table; learn one from logs of {of_arms}, as of "
-            f"{made_by}"
+            f"{name}: it decides for {stored.whom}, but {arms} the table; learn one from logs of {of_arms}, such as "
+            f"those of {made_by}"
         )
     if stored.horizon != num_arms * config.horizon:
         raise PolicyError(
-            f"{name}: it was learned for {stored.horizon // num_arms} decisions of each robot, and each arm here has "
-            f"{config.horizon}; learn it with a horizon of {config.horizon}"
+            f"{name}: it was learned for {stored.horizon // num_arms} decisions of each robot, but each arm here "
+            f"makes {config.horizon}; learn it with a horizon of {config.horizon}"
         )
     return exploring(stored.policy, random_share)
 
@@ -162,7 +162,7 @@ def belief_of(name: str, arm_name: str) -> "Belief":
         return Belief(WorldConfig(), no_grip)
     stored = read_law(folder)
     if (its := stored.record.get("arm", JACO_2.name)) != arm_name:
-        tell_warning(f"{folder}: the law is of the arm {its}, and works here for {arm_name}")
+        tell_warning(f"{folder}: the law was calibrated for the arm {its}, but is used for {arm_name}")
     return Belief(stored.law.config(), stored.law.grip)
 
 
@@ -211,8 +211,8 @@ def perceived(file: Path) -> "tuple[Cloud, View]":
     cloud = read_cloud(file)
     view = perceive(cloud)
     if not view.objects:
-        cut = f" but {view.num_cut} that the image border cuts" if view.num_cut else ""
-        raise CloudError(f"{file}: no objects on the table{cut}; put the table with its objects whole into the view")
+        cut = f" except {view.num_cut} cut by the image border" if view.num_cut else ""
+        raise CloudError(f"{file}: no objects on the table{cut}; bring the whole table with its objects into view")
     return cloud, view
 
 
@@ -244,10 +244,10 @@ def refuse_output(file: Path, what: str, endings: Sequence[str], overwrite: bool
     if file.suffix.lower() not in endings:
         raise ArgumentError(f"{file}: {what} ends in {' or '.join(endings)}; give one of these endings")
     if any(one.exists() and file.exists() and file.samefile(one) for one in inputs):
-        raise ArgumentError(f"{file}: it is what is to be looked at, and is not replaced; choose another file")
+        raise ArgumentError(f"{file}: it is an input, so it is not replaced; choose another file")
     if file.is_dir():
         raise ArgumentError(f"{file}: it is a folder; give the name of a file in it")
     if file.exists() and not file.is_file():
         raise ArgumentError(f"{file}: it is a device, a pipe or the like, and not replaced; choose another file")
     if (file.exists() or file.is_symlink()) and not overwrite:
-        raise ArgumentError(f"{file}: it is there already; choose another file, or pass --overwrite to replace it")
+        raise ArgumentError(f"{file}: it already exists; choose another file, or pass --overwrite to replace it")

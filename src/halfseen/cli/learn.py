@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from halfseen.workers import Workers
 
 CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
-NOTHING_TO_TRY = "that is known of named actions and covariates, where the policy seldom does what LOGS do"
-WAYS = ("to take only what still holds: {}", "or, where that is little: the same as here with --recency auto")
+NOTHING_TO_TRY = "this needs named actions and covariates, and states where the policy seldom does what LOGS do"
+WAYS = ("to learn only from what still holds: {}", "or, if that is little: the same command with --recency auto")
 """Remedies for a log in which the cell has changed."""
 LEARNING = ("covariates", "q_function", "stages", "horizon", "grasp", "has_laws", "reg", "pessimism", "half_life")
 """Options of the form of Q, as in `learner_for`."""
@@ -36,19 +36,19 @@ START, LEARN, FOLDS, JUDGE, LOOK = 1, 2, 6, 4, 1  # relative time of each step, 
 @click.argument("logs", type=options.PLACE)
 @options.path("--out", required=True, text="Folder that the policy is written to.")
 @options.names(
-    "--covariates", "Columns of the stages to look at, as x1,x2; by default numbers and text of few categories."
+    "--covariates", "Columns of the stages to use, as x1,x2; by default numbers, and text with few categories."
 )
 @options.word(
     "--q-function",
     of=["auto", "linear", "quadratic", "kernel", "smooth", "tabular"],
     default="auto",
-    text="What Q may be.",
+    text="Form of Q.",
 )
 @options.word(
     "--censoring",
     of=CENSORING,
     default="auto",
-    text="What stands for what cuts took away: a model of the cuts for weights, or imputation.",
+    text="Correction for cuts: weights from a censoring model, or imputation.",
 )
 @options.word(
     "--censoring-by",
@@ -57,41 +57,46 @@ START, LEARN, FOLDS, JUDGE, LOOK = 1, 2, 6, 4, 1  # relative time of each step, 
     text="Clock of the cuts: that of the trajectory (total time), of each stage, or of all stages alike (gap time).",
 )
 @options.names("--censoring-covariates", "What cuts may depend on, as x1,action; by default all that the model takes.")
-@options.flag("--augmented", text="Doubly robust: right if the censoring model or the regression is.")
+@options.flag("--augmented", text="Doubly robust: correct if the censoring model or the regression is.")
 @options.word(
-    "--stages", of=["auto", "separate", "pooled"], default="auto", text="One Q a stage, or one for all by steps to go."
+    "--stages",
+    of=["auto", "separate", "pooled"],
+    default="auto",
+    text="One Q for each stage, or one for all stages by steps to go.",
 )
 @options.whole(
     "--horizon",
     least=1,
     most=options.MOST_STAGES,
-    text="Stages after which a trajectory ends by itself; by default those of the longest, for a table at least 10. "
-    "Of a team, decisions of each robot; by default what the log says.",
+    text="Stages after which a trajectory ends by itself; by default those of the longest trajectory, for a table at "
+    "least 10. For a team, decisions of each robot; by default as in the log.",
 )
 @options.word(
     "--grasp",
     of=["auto", "laplace", "beta"],
-    text="Of a table: what tells how likely a grasp is, the rule of succession (laplace) or a Beta regression; by "
-    "default the log decides.",
+    text="For a table: model of the probability of a grasp, the rule of succession (laplace) or a Beta regression; by "
+    "default chosen from the log.",
 )
 @click.option(
     "--laws/--no-laws",
     "has_laws",
     default=True,
-    help="Of a table: whether laws of seeing and grasping, fitted to LOGS, help to learn; without them eq. 3 alone.",
+    help="For a table: whether learning uses laws of seeing and grasping fitted to LOGS; without them, eq. 3 alone.",
 )
 @click.option(
     "--prior-law",
     metavar="FOLDER",
-    help="Of a table: a law, as of `halfseen cell calibrate`, shipped or assumed, about which those of LOGS are fitted "
-    "(for logs of few attempts); by default none.",
+    help="For a table: prior for the laws fitted to LOGS, if these hold few attempts; a folder of `halfseen cell "
+    "calibrate`, shipped or assumed; by default none.",
 )
-@click.option("--reg", type=options.Or("cv"), default="cv", help="λ, or cv to choose it over trajectories.")
+@click.option(
+    "--reg", type=options.Or("cv"), default="cv", help="λ, or cv to choose it by cross-validation over trajectories."
+)
 @click.option(
     "--pessimism",
     type=options.Or("auto"),
     default="auto",
-    help="Standard errors by which Q is lowered wherever the best action is sought; 0 for eq. 3 as it stands.",
+    help="Standard errors by which Q is lowered in choosing the best action; 0 for eq. 3 unchanged.",
 )
 @click.option(
     "--recency",
@@ -99,34 +104,35 @@ START, LEARN, FOLDS, JUDGE, LOOK = 1, 2, 6, 4, 1  # relative time of each step, 
     type=options.Or("auto", "none"),
     callback=lambda _, __, given: None if given == "none" else given,
     default="none",
-    help="Trajectories by which what they count halves, from the last of LOGS to the first; auto to choose it by how "
-    "well the latest fifth is predicted, none to count all alike. Of a table, it is for eq. 3 without laws.",
+    help="Trajectories over which weights halve, from the last of LOGS to the first; auto to choose it by how well "
+    "the latest fifth is predicted, none for equal weights. For a table, only for eq. 3 without laws.",
 )
 @click.option(
     "--since",
     metavar="TRAJECTORY|DATE",
-    help="Learn from what came later alone: from this trajectory on, or, where the log has dates, from this day.",
+    help="Learn only from this trajectory on, or, if the log has dates, from this day on.",
 )
 @click.option("--truncate-at", type=float, help="Largest weight allowed; by default none is truncated.")
 @click.option(
     "--streaming/--in-memory",
     "streaming",
     default=None,
-    help="Whether LOGS are read part by part, once for each stage and some times more, and never held whole; by "
-    "default where a Parquet folder has more than 500,000 stages. What is learned is the same.",
+    help="Whether LOGS are read part by part, once for each stage and a few times more, and never held in memory as a "
+    "whole; by default if a Parquet folder has more than 500,000 stages. The result is the same.",
 )
 @click.option(
     "--verdict/--no-verdict",
     "has_verdict",
     default=True,
-    help="Judge policies learned from four fifths of LOGS by the rest, against what made LOGS; takes six times longer.",
+    help="Test policies learned from four fifths of LOGS on the rest, against the logging policy; takes six times "
+    "longer.",
 )
 @options.word(
     "--trust",
     "trusted",
     of=["vouched", "best"],
     default="vouched",
-    text="Which policy is written: the one for whose gain LOGS can vouch most, or the best guess.",
+    text="Which policy is written: the one with the largest gain that LOGS can vouch for, or the best guess.",
 )
 @options.missing
 @options.path(
@@ -161,22 +167,22 @@ def learn(
 ) -> None:
     """Learn a policy from the folder LOGS, and write it to a folder of its own, all or nothing.
 
-    LOGS may lie in an object store, as Parquet files: s3://BUCKET/FOLDER and the like. Where they are read in passes,
-    --workers share the work; those of a cluster must be able to read them, too.
+    LOGS may lie in an object store, as Parquet files: s3://BUCKET/FOLDER and the like. Where they are read
+    part by part, --workers share the work; workers of a cluster must be able to read LOGS, too.
 
-    Logs with objects are of tables: the policy chooses among WASH, LIFT and FINISH. Else, or with --covariates, it
-    chooses among the actions that were seen at each stage. Stages of cut trajectories count, too. Where LOGS tell of
+    Logs with objects are of tables: the policy chooses among WASH, LIFT and FINISH. Otherwise, or with --covariates, it
+    chooses among the actions that were seen at each stage. Stages of cut trajectories are used, too. If LOGS have
     several robots at a table, one policy decides for whichever is free, and may let it WAIT.
 
-    Where the cell has changed within LOGS, in the order of their trajectories, it says which part and since when, and
-    how to take only what still holds; all of LOGS are used until you say so. `halfseen convert OLD NEW --out LOGS`
-    joins logs in their order.
+    If the cell has changed within LOGS, in the order of their trajectories, it says which part, since when, and how to
+    learn only from what still holds; by default all of LOGS are used. `halfseen convert OLD NEW --out LOGS` joins logs
+    in their order.
 
-    It ends with a verdict: do policies that are learned this way beat the one that made LOGS, and that without its
-    exploration? Five are learned from four fifths of LOGS each and judged by the rest, which they never saw. They are
-    judged as they are, the best guess, and with more caution, which more often does as LOGS do. The one for which LOGS
-    can vouch most is written. The verdict is kept with the policy, and `halfseen act` repeats it where
-    nothing speaks for the policy. Where that takes long, workers do it.
+    It ends with a verdict: do policies that are learned this way beat the logging policy, with and without its
+    exploration? Five are learned from four fifths of LOGS each and tested on the rest, which they never saw: the best
+    guess, and more cautious policies, which more often do as LOGS do. The one with the largest gain that LOGS can vouch
+    for is written. The verdict is stored with the policy, and `halfseen act` repeats it if there is no evidence for the
+    policy. Workers share long work.
     """
     from halfseen.policies.folder.files import check_target
 
@@ -213,7 +219,7 @@ def learn(
             regions = judged.exploration.regions
             columns = ([getattr(each, name) for each in regions] for name in ("conditions", "action", "wanted"))
             write_file(exploration, as_csv(*columns).encode())
-            notes += [] if regions else [f"{exploration} names nothing to try; {NOTHING_TO_TRY}"]
+            notes += [] if regions else [f"{exploration} lists no actions to try; {NOTHING_TO_TRY}"]
     report = {"policy": str(out), "logs": str(logs), **read_policy(out).record}
     report["actions"] = plain(shares.reset_index().to_dict("records"))
     since_change = ["--overwrite", "--since", str(changes[0]["since"])] if changes else []
@@ -264,12 +270,12 @@ def _judged(
     if judging.num_trajectories == log.num_trajectories:
         return verdict, []
     part = f"{judging.num_trajectories:,} of the {log.num_trajectories:,} trajectories, drawn at random"
-    return verdict, [f"the verdict is of policies learned from {part}"]
+    return verdict, [f"the verdict is about policies learned from {part}"]
 
 
 def _check_exploration(file: Path, has_verdict: bool, overwrite: bool) -> None:
     if not has_verdict:
-        raise ArgumentError("--exploration rests on the verdict; leave --no-verdict out")
+        raise ArgumentError("--exploration needs the verdict; leave --no-verdict out")
     if file.suffix.lower() != ".csv":
         raise ArgumentError(f"--exploration is {file}; `halfseen serve` takes a file that ends in .csv")
     if not overwrite:
@@ -303,7 +309,7 @@ def _lines(report: Mapping[str, Any], judged: "HeldOutVerdict | None") -> list[s
     from halfseen.policies.folder.specification import description
 
     positivity, is_team = report["diagnostics"]["positivity"]["text"].splitlines()[0], "num_robots" in report["schema"]
-    judge = "--world --team ROBOTS" if is_team else "--logs OTHER_LOGS; the ones learned from would flatter it"
+    judge = "--world --team ROBOTS" if is_team else "--logs OTHER_LOGS; the training logs would be optimistic"
     rows = [
         *description(report),
         ("positivity", positivity),

@@ -35,7 +35,7 @@ ENDINGS = (".pcd", ".ply", ".npz")  # of cloud files in a folder
 @click.command(epilog="Example: halfseen look table.pcd --picture table.png")
 @click.argument("clouds", nargs=-1, required=True, type=options.PATH)
 @options.flag("--json", "is_json", text="Print JSON, for programs.")
-@options.path("--picture", text="Draw what is seen into this PNG file; of one cloud.")
+@options.path("--picture", text="Draw what is seen into this PNG file; for one cloud only.")
 @options.overwrite("a picture that is")
 @options.labels
 @options.workers
@@ -49,10 +49,10 @@ def look(
 ) -> None:
     """Say what stands on the table of a cloud, who hides whom, and, if it has colour, what looks dirty.
 
-    A cloud is a .pcd or .ply point cloud in the frame of the camera, or of the VIEWPOINT that it says [m], with packed
-    rgb or red, green and blue if it has colour; or an .npz file with a depth image depth_m [m], a pinhole matrix K [px]
-    and, if there is one, a picture rgb. Of several, or of a folder, every cloud has one line; those that cannot be
-    read, or show no object, are named below, and the exit status is 2.
+    A cloud is a .pcd or .ply point cloud in the frame of the camera, or of its VIEWPOINT [m], with packed rgb or red,
+    green and blue if it has colour; or an .npz file with a depth image depth_m [m], a pinhole matrix K [px] and
+    optionally a picture rgb. For several clouds, or a folder, there is one line for each; clouds that cannot be read,
+    or show no object, are named below, and the exit status is 2.
     """
     if len(clouds) == 1 and not clouds[0].is_dir():
         if picture is not None:
@@ -61,7 +61,7 @@ def look(
         return
     if picture is not None or labels is not None:
         option, value = ("--picture", picture) if picture is not None else ("--labels", labels)
-        raise ArgumentError(f"{option} {value}: it is of one cloud, and there are several; look at that cloud alone")
+        raise ArgumentError(f"{option} {value}: it is for one cloud, but several are given; look at that cloud alone")
     _look_at_many(_clouds_in(clouds), workers, is_json)
 
 
@@ -78,7 +78,7 @@ def _look_at(cloud: Path, is_json: bool, picture: Path | None, labels: Path | No
         return
     say(sentence(view))
     if view.num_cut:
-        say(f"Left out: {view.num_cut} that the image border cuts.")
+        say(f"Left out: {view.num_cut} cut by the image border.")
     say("\n".join(["", *_table(view, found)]))
 
 
@@ -113,7 +113,7 @@ def _clouds_in(places: Sequence[Path]) -> list[Path]:
         if place.is_dir():
             those = sorted(each for each in place.iterdir() if each.suffix.lower() in ENDINGS)
             if not those:
-                raise ArgumentError(f"{place}: no cloud in it ends in {', '.join(ENDINGS)}; name another folder")
+                raise ArgumentError(f"{place}: no file in it ends in {', '.join(ENDINGS)}; give a folder of clouds")
         found += those
     return found
 
@@ -204,25 +204,28 @@ def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int
     first, *last = given.split("-", 1)
     last = last[0] if last else first
     if not (first.isdigit() and last.isdigit() and 1 <= int(first) <= int(last)):
-        raise click.BadParameter(f"{given!r} is no span of stages; give one as 2-5")
+        raise click.BadParameter(f"{given!r} is not a span of stages; give one such as 2-5")
     return int(first), int(last)
 
 
 @click.command(epilog="Example: halfseen watch table.pcd --policy policy")
 @click.argument("source", type=options.PATH)
-@options.path("--policy", text="Of a cloud or of logs: the folder of a policy of tables.")
-@options.path("--history", text="Of a cloud: logs whose last trajectory is the one so far.")
+@options.path("--policy", text="For a cloud or logs: the folder of a policy of tables.")
+@options.path("--history", text="For a cloud: logs whose last trajectory is the current one.")
 @options.labels
-@options.law(None, f"Of a cloud, where it is {SHIPPED} by default. ")
-@options.path("--clouds", text="Of logs: folder with the cloud of each stage.")
+@options.law(None, f"For a cloud; by default {SHIPPED}. ")
+@options.path("--clouds", text="For logs: folder with the cloud of each stage.")
 @options.whole(
-    "--trajectory", least=1, most=options.MOST_EPISODES, text="Of logs: which trajectory, from 1; by default the first."
+    "--trajectory",
+    least=1,
+    most=options.MOST_EPISODES,
+    text="For logs: the trajectory, from 1; by default the first.",
 )
-@click.option("--stages", callback=_span, metavar="FIRST-LAST", help="Only these, counted from 1.")
+@click.option("--stages", callback=_span, metavar="FIRST-LAST", help="Show only these stages, counted from 1.")
 @options.path(
     "--export",
     multiple=True,
-    text="Write it to a file instead, once or more: .html, which opens without a server, or .gif.",
+    text="Write it to a file instead: .html, which opens without a server, or .gif; may be given more than once.",
 )
 @options.overwrite("a file of --export that is")
 @options.port
@@ -244,7 +247,9 @@ def watch(
     kind = "recording" if (source / MARKER).is_file() else "logs" if source.is_dir() else "cloud"
     for name, kinds in OF_KINDS.items():
         if given[name] is not None and kind not in kinds:
-            raise ArgumentError(f"--{name} is of {' or '.join(kinds)}, and {source} is a {kind}; leave it out")
+            raise ArgumentError(
+                f"--{name} is for a source of kind {' or '.join(kinds)}; {source} is of kind {kind}: leave it out"
+            )
 
     if kind == "recording":
         runs = _of_recording(source)
@@ -263,7 +268,7 @@ def _of_stages(span: tuple[int, int] | None, watched: "Watched") -> "Watched":
     """The run restricted to a span of stages."""
     first, last = span or (1, len(watched.stages))
     if last > len(watched.stages):
-        raise ArgumentError(f"--stages is {first}-{last}, and there are {len(watched.stages)}; leave it out for all")
+        raise ArgumentError(f"--stages is {first}-{last}, but the last stage is {len(watched.stages)}; leave it out")
     return replace(watched, stages=watched.stages[first - 1 : last])
 
 
@@ -306,7 +311,7 @@ def _of_cloud(
 
     for option, value in (("--history", history), ("--law", law)):
         if policy is None and value is not None:
-            raise ArgumentError(f"{option} is for a decision; give a --policy, or leave {option} out")
+            raise ArgumentError(f"{option} needs a policy to decide; give a --policy, or leave {option} out")
     cloud, view = perceived(file)
     if policy is None:
         yield watched_cloud(cloud, view, None, None, 0, first_look(view, cloud, labels))
@@ -319,7 +324,7 @@ def _of_cloud(
     stored = read_policy(policy)
     refuse_team(stored, UNDECIDED, policy)
     if not stored.is_table:
-        raise PolicyError(f"{policy}: it is no policy of tables, and {file} is a cloud; learn one from logs of tables")
+        raise PolicyError(f"{policy}: not a policy of tables, but {file} is a cloud; learn one from logs of tables")
     schema = stored.record["schema"]
     known = law_of(law or SHIPPED) if stored.counts_views else None
     if history is None:
@@ -338,7 +343,7 @@ def _of_logs(folder: Path, clouds: Path | None, number: int | None, policy: Path
     logs = read_logs(folder)
     if clouds is None:
         raise ArgumentError(
-            f"{folder}: logs hold no clouds; give the folder that has one for each stage as --clouds, or record a run "
+            f"{folder}: logs hold no clouds; give a folder with the cloud of each stage by --clouds, or record a run "
             "with `halfseen cell run --record`"
         )
     stored = None if policy is None else read_policy(policy)

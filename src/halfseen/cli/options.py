@@ -14,9 +14,9 @@ PATH = click.Path(path_type=Path)
 ASSUMED, SHIPPED = "assumed", "shipped"
 WEIGHTING = ("kaplan-meier", "cox", "kernel")  # censoring models that weight completed stages by 1/Ĝ
 TRUST = {
-    "probabilities": "are true, though they look as if no policy had had them",
-    "covariates": "were known before the action, though they depend on it or on its outcome",
-    "endings": "are ends, though they look like cuts",
+    "probabilities": "are true, although no policy seems to have had them",
+    "covariates": "were known before the action, although they seem to depend on it or its outcome",
+    "endings": "are true ends, although they look like cuts",
 }
 """Properties of a log that the user may vouch for against appearances; otherwise no verdict relies on them."""
 MOST_EPISODES, MOST_STAGES = 10_000_000, 1000
@@ -91,7 +91,7 @@ class Real(click.FloatRange):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Refuse NaN, too."""
         number = super().convert(value, param, ctx)
-        return number if number == number else self.fail(f"{value} is no number", param, ctx)
+        return number if number == number else self.fail(f"{value} is not a number", param, ctx)
 
 
 def real(*names: str, text: str, default: float | None = None, **bounds: Any) -> Any:
@@ -139,7 +139,7 @@ def team(of: str = "") -> Any:
     return path(
         "--team",
         text=f"{of}Robots that clear the tables together, a .toml or .json file (see `halfseen.world.read_team`); by "
-        "default there is one.",
+        "default there is one robot.",
     )
 
 
@@ -169,7 +169,7 @@ missing = click.option(
     "--missing",
     metavar="RULE",
     callback=_rules,
-    help="What stands for null in covariates: median+flag, last or refuse for all, or by column as "
+    help="How null covariates are replaced: median+flag, last or refuse for all, or by column as "
     "x=last,y=median+flag; by default null is refused.",
 )
 
@@ -211,11 +211,11 @@ unused_seed = click.option(
 )
 labels = path(
     "--labels",
-    text="What looks dirty, instead of what the cloud's colour tells: .csv with columns object, label (dirty, clean, "
-    "unknown) and, if wanted, share_in_view; or the same as .json.",
+    text="Labels of what looks dirty, instead of those from the cloud's colour: .csv with columns object, label "
+    "(dirty, clean, unknown) and, optionally, share_in_view; or the same as .json.",
 )
-extrapolate = flag("--extrapolate", text="Decide even far outside what the logs showed, with a warning.")
-port = whole("--port", least=0, most=65535, default=8080, text="Of this machine; 0 for any.")
+extrapolate = flag("--extrapolate", text="Decide even far outside the logs, with a warning.")
+port = whole("--port", least=0, most=65535, default=8080, text="Port of this machine; 0 for any free one.")
 CLOCKS = ("trajectory", "stage", "pooled")
 policys_censoring = word("--censoring", of=WEIGHTING, text="Censoring model; by default the policy's own.")
 policys_truncation = click.option(
@@ -225,23 +225,23 @@ against = click.option(
     "--against",
     multiple=True,
     metavar="BASELINE",
-    help="What it has to beat, once or more: logging, logging-rule (without its exploration), sequence:A,B,A, a rule "
-    "(.csv or .toml), a policy folder; by default the first two.",
+    help="Baseline to beat, may be given more than once: logging, logging-rule (without its exploration), "
+    "sequence:A,B,A, a rule (.csv or .toml), a policy folder; by default the first two.",
 )
 propensity = word(
     "--propensity",
     of=["logged", "estimated"],
     default="logged",
-    text="How likely the logged actions were: as the log says, or estimated.",
+    text="Probabilities of the logged actions: as logged, or estimated.",
 )
 trust = several(
-    *(flag(f"--trust-{name}", text=f"Say that {name} of the log {why}.") for name, why in TRUST.items()),
+    *(flag(f"--trust-{name}", text=f"State that the {name} of the log {why}.") for name, why in TRUST.items()),
     gathered("trust", _trusted, *(f"trust_{name}" for name in TRUST)),
 )
 arm = several(
     path("--arm", text="MJCF or URDF file of another arm; by default the Jaco 2."),
-    click.option("--flange", help="Of --arm: site or body where the hand is mounted; by default it is found."),
-    names("--joints", "Of --arm: its hinges from the base on, as pan,lift; by default all to the flange."),
+    click.option("--flange", help="With --arm: site or body where the hand is mounted; by default it is found."),
+    names("--joints", "With --arm: its hinges from the base on, as pan,lift; by default all up to the flange."),
     gathered("arm", Arm, "arm", "flange", "joints"),
 )
 num_arms = whole("--arms", "num_arms", least=1, most=2, default=1, text="One arm behind the table, or two at its ends.")
@@ -257,8 +257,10 @@ workers = several(
         "--engine",
         of=ENGINES,
         default="processes",
-        text="What runs them: processes of this machine, or a cluster of Ray or Dask.",
+        text="What runs the workers: processes of this machine, or a cluster of Ray or Dask.",
     ),
-    click.option("--address", help="Of the cluster; by default one that lives on this machine while the command runs."),
+    click.option(
+        "--address", help="Address of the cluster; by default one is started on this machine for the command."
+    ),
     gathered("workers", _workers, "num_workers", "engine", "address"),
 )

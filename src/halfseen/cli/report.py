@@ -59,11 +59,11 @@ STAGES = {
 def inspect(logs: Path, missing: dict[str, str] | None, as_json: bool) -> None:
     """Say what LOGS holds: trajectories, endings and causes, stages, actions, and what their weights rest on.
 
-    LOGS may be finished, or what a recorder has written so far, torn by a crash or at work. What breaks no rule and
-    looks wrong all the same is told first.
+    LOGS may be finished, or what a recorder has written so far, torn by a crash or still running. What breaks no rule
+    but looks wrong comes first.
 
-    The effective sample size tells how many equally weighted stages would say as much as those that were seen, once
-    each stands for those that were cut.
+    The effective sample size is the number of equally weighted stages that would say as much as those that were seen,
+    weighted for those that were cut.
     """
     with Progress(2, "start") as bar:
         from halfseen.logs import read_logs
@@ -146,7 +146,7 @@ USUAL: dict[str, Any] = {"propensity": "logged", "replicates": 100}
 @click.command(epilog="Example: halfseen report logs policy --out report.html --seed 1")
 @click.argument("logs", type=options.PATH)
 @click.argument("policy", type=options.PATH, required=False)
-@options.path("--out", default=Path("report.html"), text="The page.")
+@options.path("--out", default=Path("report.html"), text="File of the page.")
 @options.against
 @options.policys_censoring
 @options.propensity
@@ -156,9 +156,9 @@ USUAL: dict[str, Any] = {"propensity": "logged", "replicates": 100}
     least=2,
     most=options.MOST_REPLICATES,
     default=100,
-    text="Draws of trajectories behind the bands around Q.",
+    text="Bootstrap replicates for the bands around Q.",
 )
-@click.option("--unit", help="What rewards are counted in, such as parts; by default what the logs say.")
+@click.option("--unit", help="Unit of rewards, such as parts; by default that of the logs.")
 @options.missing
 @options.workers
 @options.seed("page")
@@ -182,11 +182,11 @@ def report(
 ) -> None:
     """Write one page about the folder LOGS and, if one is given, the policy in the folder POLICY.
 
-    It opens with the answer: is the policy better than the one that made the logs, or than whatever --against names?
-    Below: what it is worth with 95 % intervals, of what is earned today and in an hour; what the logs hold, trajectory
-    by trajectory, what cut them and what looks wrong; what the weights rest on; what was learned and what it would do
-    differently; and what nobody can know from these logs. Without POLICY it tells of the logs alone. The page stands
-    alone: mail it, print it.
+    It begins with the verdict: is the policy better than the logging policy, or than the baselines of --against?
+    Below: what it is worth, also as a share of what is earned now and per hour, with 95 % intervals; what the logs
+    hold, trajectory by trajectory, what cut them and what looks wrong; what the weights rest on; what was learned and
+    what it would do differently; and what these logs cannot show. Without POLICY it is about the logs alone. The page
+    is one file that can be mailed or printed.
     """
     from halfseen.installation import extra
 
@@ -226,7 +226,7 @@ def _refuse_without_policy(policy: Path | None, chosen: Mapping[str, Any]) -> No
     given = next(iter(_given(chosen)), None)
     if policy is None and given is not None:
         option = f"--{given.replace('_', '-')}"
-        raise ArgumentError(f"{option} is said of a policy, and none is given; add POLICY after LOGS, or leave it out")
+        raise ArgumentError(f"{option} applies to a policy, but none is given; add POLICY after LOGS, or leave it out")
 
 
 def _given(chosen: Mapping[str, Any]) -> dict[str, Any]:

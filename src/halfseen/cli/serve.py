@@ -31,7 +31,7 @@ SHORTEST_TOKEN = 16
 ABOVE_0: Any = {"min": 0.0, "min_open": True}
 OUT_OF_RANGE = ["answer", "step-back"]
 FALL_BACK = (
-    "Rule (.csv or .toml) that decides where the policy does not; by default what its log did most in that stage."
+    "Rule (.csv or .toml) that decides where the policy does not; by default the usual action of its log in that stage."
 )
 
 
@@ -50,64 +50,64 @@ class _ShareOrTable(click.ParamType):
 
 @click.command(epilog="Example: halfseen serve policy --record next-logs --explore 0.1")
 @click.argument("policy", type=options.PATH)
-@click.option("--host", default=HERE, help="Address to answer at; any other needs a token.")
+@click.option("--host", default=HERE, help="Address to listen on; one that other machines can reach needs a token.")
 @options.port
-@click.option("--token", envvar=TOKEN, help=f"That each request must bring; better in the environment, as {TOKEN}.")
-@options.path("--record", metavar="LOGS", text="Record what is decided into this folder of logs.")
+@click.option("--token", envvar=TOKEN, help=f"Token of each request; better in the environment, as {TOKEN}.")
+@options.path("--record", metavar="LOGS", text="Record the decisions in this folder of logs.")
 @click.option(
     "--explore",
     type=_ShareOrTable(),
     default="0",
-    help="Share of decisions that are drawn at random among the actions that are possible; or a CSV table of what to "
-    "try where, as `halfseen learn --exploration` writes.",
+    help="Share of decisions drawn at random among the possible actions; or a CSV table of what to try where, as "
+    "`halfseen learn --exploration` writes.",
 )
-@options.law(None, f"Of clouds of a table, where it is {SHIPPED} by default. ")
+@options.law(None, f"For clouds of a table; by default {SHIPPED}. ")
 @options.extrapolate
 @options.path("--fall-back", metavar="RULE", text=FALL_BACK)
 @options.word(
-    "--out-of-range", of=OUT_OF_RANGE, text="Who decides just outside what the logs showed; by default the rule."
+    "--out-of-range",
+    of=OUT_OF_RANGE,
+    text="What to do just outside the logs; by default the rule decides.",
 )
 @options.path(
     "--against",
     metavar="RULE",
-    text="Rule of today (.csv or .toml): deal each trajectory to it or to the policy by chance, until it is clear "
+    text="Current rule (.csv or .toml): assign each trajectory at random to it or to the policy, until it is clear "
     "which earns more. Needs --record.",
 )
 @options.real(
     "--share",
     **(ABOVE_0 | {"max": 0.5}),
     default=0.2,
-    text="Of --against: the policy's share at first; it grows as the worst that is likely shrinks.",
+    text="With --against: initial share of the policy; it grows as the largest likely loss shrinks.",
 )
 @options.real(
     "--most-loss",
     **ABOVE_0,
-    text="Of --against: what the policy may lose against the rule in all [reward]; by default it is stopped once it is "
-    "seen to lose.",
+    text="With --against: total that the policy may lose against the rule [reward]; by default it is stopped once it "
+    "is seen to lose.",
 )
-@options.real(
-    "--time-limit", **ABOVE_0, default=5.0, text="How long to wait for the policy until the rule decides [s]."
-)
+@options.real("--time-limit", **ABOVE_0, default=5.0, text="Time to wait for the policy before the rule decides [s].")
 @options.real(
     "--monitor-every",
     min=0.0,
     max=86400.0,
     default=30.0,
-    text="Of --record: how long to wait at least until what is earned is held against the promise again, in a process "
-    "of its own [s]; 0 for never.",
+    text="With --record: least time between two comparisons of what is earned with the promise, in a separate process "
+    "[s]; 0 for never.",
 )
 @click.option(
     "--opcua",
     "controller",
     metavar="URL",
-    help="Let a controller ask over OPC UA instead, such as opc.tcp://10.0.0.2:4840. Needs --mapping, --record and the "
+    help="Answer a controller over OPC UA instead, such as opc.tcp://10.0.0.2:4840. Needs --mapping, --record and the "
     "extra opcua.",
 )
-@options.path("--mapping", text="Of --opcua: which of the controller's variables is what (TOML).")
+@options.path("--mapping", text="With --opcua: which of the controller's variables holds what (TOML).")
 @options.flag(
     "--mapping-template",
     "is_template",
-    text="Only print a mapping for this policy to start from, or write it to --mapping.",
+    text="Only print a mapping template for this policy, or write it to --mapping.",
 )
 @options.seed("draws of --explore and deals of --against")
 def serve(
@@ -134,21 +134,22 @@ def serve(
     """Answer what `halfseen act` answers, over HTTP, by the policy in the folder POLICY. Needs the extra serve.
 
     POST /decide takes the covariates of a stage as a JSON object; for a policy of tables {"objects": [...]}, as a stage
-    of a log has them, or a cloud as multipart. GET /health tells that it answers; / is a page of the running cell; /api
-    and /openapi.json tell what can be asked. POST /reload, or the signal SIGHUP, reads the folder again.
+    of a log has them, or a cloud as multipart. GET /health says that it answers; / is a page of the running cell; /api
+    and /openapi.json describe the requests. POST /reload, or the signal SIGHUP, reads the folder again.
 
     With --record, each decision begins a stage of a log, with its probability; POST /reward completes it, and POST /end
     ends its trajectory: {"ending": "finished"}, or {"ending": "cut", "cause": "operator"}. A cloud is then put where
     the trajectory stands, and {"reward": 5.0, "held": true} says whether its WASH or LIFT held.
 
     A rule decides outside the logs' range, beyond the policy's horizon, where the policy fails, or after --time-limit;
-    the answer, the log and /health say so. Of tables, it ends the trajectory, and only far outside.
+    the answer, the log and /health say so. For tables, it ends the trajectory, and only far outside.
 
-    With --against, the log says to which of both each trajectory was dealt, and with which chance; a server that begins
-    again goes on from it. A sentence says when the policy is promoted, or stopped; GET /comparison says more.
+    With --against, the log says to which of the two each trajectory was assigned, and with what probability; a
+    restarted server continues from it. A sentence says when the policy is promoted, or stopped; GET /comparison says
+    more.
 
-    With --opcua, halfseen reads a controller's variables and writes its decisions there; HTTP then only tells how it
-    stands. A trajectory goes on where a server that was stopped or killed left it.
+    With --opcua, halfseen reads a controller's variables and writes its decisions there; HTTP then only reports the
+    status. A restarted server continues the trajectory that the last one left.
     """
     import numpy as np
 
@@ -170,7 +171,7 @@ def serve(
     _check_token(host, token)
     _check_wire(controller, mapping, record)
     if against is not None and record is None:
-        raise ArgumentError(f"--against is {against}, and the comparison lives in the log; give --record LOGS")
+        raise ArgumentError(f"--against is {against}, but the comparison needs a log; give --record LOGS")
     if record is not None and record.exists() and policy.exists() and record.samefile(policy):
         raise ArgumentError(f"--record is {record}, the folder of the policy; give another folder for its logs")
     # Create the folder of logs only when there is something to record.
@@ -217,8 +218,8 @@ def _warn_of_rule(stored: Any, file: Path) -> None:
     rule, covariates, categories = rule_of(stored, file), stored.policy.covariates, stored.policy.categories
     for name in (name for name in rule.columns if name not in covariates):
         tell_warning(
-            f"{file}: the rule asks for {name}, and the policy does not; where a request lacks it, the usual action of "
-            f"the log is taken instead of the rule's{did_you_mean(name, covariates)}"
+            f"{file}: the rule asks for {name}, which the policy does not use; if a request lacks it, the usual "
+            f"action of the log is taken instead of the rule's{did_you_mean(name, covariates)}"
         )
     for one in (one for row in rule.rows for one in row.conditions):
         if one.column in categories and one.text not in categories[one.column]:
@@ -235,7 +236,7 @@ def _check_wire(controller: str | None, mapping: Path | None, record: Path | Non
         place = controller.rpartition("@")[2]  # do not repeat a password
         raise ArgumentError(f"--opcua names {place}; give opc.tcp://HOST:PORT, and users in --mapping")
     if record is None:
-        raise ArgumentError(f"--opcua {controller}: what was decided is known by the log; give --record LOGS")
+        raise ArgumentError(f"--opcua {controller}: decisions over OPC UA need a log; give --record LOGS")
 
 
 def _wire(served: "Served", controller: str, mapping: Path) -> "Wire":
@@ -266,37 +267,38 @@ def _check_token(host: str, token: str | None) -> None:
         )
     if token is None and host not in (HERE, "localhost", "::1"):
         raise ArgumentError(
-            f"--host is {host}, which others may reach; give a --token, or set {TOKEN}, that requests must bring"
+            f"--host is {host}, which other machines may reach; give a --token or set {TOKEN}, which requests must "
+            "carry"
         )
 
 
 @click.command(epilog="Example: halfseen record --out logs < calls.jsonl")
 @click.argument("source", type=options.PATH, required=False)
-@options.path("--out", required=True, text="Folder of logs; one that was recorded is gone on with.")
+@options.path("--out", required=True, text="Folder of logs; recording continues in an existing one.")
 @click.option(
     "--listen",
     metavar="PORT|SOCKET",
-    help="Take lines from a port of this machine (0 for any), or from a Unix socket: a file.",
+    help="Read lines from a port of this machine (0 for any), or from a Unix socket, given as a file.",
 )
 @options.word(
     "--fsync",
     of=["never", "trajectory", "stage", "event"],
     default="never",
-    text="How often to wait for the disk, so that a loss of power takes no more than that.",
+    text="How often to wait for the disk; a power failure loses at most the data since then.",
 )
 @options.whole(
     "--part-mb",
     least=1,
     most=10**6,
     default=256,
-    text="Size from which on a trajectory begins in another file of OUT [MB].",
+    text="Size from which on the next trajectory begins a new file of OUT [MB].",
 )
-@click.option("--reward-unit", help="What rewards are counted in, such as parts.")
+@click.option("--reward-unit", help="Unit of rewards, such as parts.")
 @options.unused_seed
 def record(
     source: Path | None, out: Path, listen: str | None, fsync: str, part_mb: int, reward_unit: str | None
 ) -> None:
-    """Record what JSON lines say, each answered by one; lines come from SOURCE, or from standard input.
+    """Record logs from JSON lines, each answered by a line; they come from SOURCE, or from standard input.
 
     \b
     {"call": "begin_trajectory", "name": 1, "columns": {"cell": "left"}}
@@ -309,14 +311,14 @@ def record(
     More calls: still_running; drop_out with "robot" and "cause"; cut with "cause".
     Without "elapsed_s" [s] the clock of this machine is read.
 
-    Where lines end, a trajectory in progress is cut with the cause input-ended. A line that is refused harms none after
-    it.
+    At the end of the lines, a trajectory in progress is cut with the cause input-ended. A refused line does not affect
+    later ones.
     """  # noqa: D301
     from halfseen.logs import LogRecorder
     from halfseen.logs.protocol import record_lines
 
     if source is not None and listen is not None:
-        raise ArgumentError("SOURCE and --listen are both given; lines come from one of them")
+        raise ArgumentError("SOURCE and --listen are both given; leave one out")
     recorder_of = partial(LogRecorder, out, fsync=fsync, reward_unit=reward_unit, part_bytes=part_mb * 10**6)
     if listen is not None:
         _record_clients(recorder_of, int(listen) if listen.isdecimal() else Path(listen))

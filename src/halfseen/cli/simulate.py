@@ -28,7 +28,7 @@ _START, _TABLE = 4, 2  # work of starting and of playing one table, in units of 
 @click.argument("clouds", type=options.PATH, nargs=-1)
 @options.path("--out", required=True, text="Folder that the logs are written to.")
 @options.whole("--episodes", least=1, most=options.MOST_EPISODES, default=1000, text="Number of trajectories.")
-@options.word("--policy", of=[UNIFORM, *HEURISTICS], default="history-penalty", text="Who decides.")
+@options.word("--policy", of=[UNIFORM, *HEURISTICS], default="history-penalty", text="Policy that decides.")
 @options.real(
     "--random-share",
     min=0.0,
@@ -44,13 +44,13 @@ _START, _TABLE = 4, 2  # work of starting and of playing one table, in units of 
     max_open=True,
     text="Proportion of the trajectories that is cut, in expectation.",
 )
-@options.word("--cut-kind", of=CUT_KINDS, default="independent", text="What cuts.")
+@options.word("--cut-kind", of=CUT_KINDS, default="independent", text="What causes cuts.")
 @options.whole(
     "--horizon",
     least=1,
     most=options.MOST_STAGES,
     default=_HORIZON,
-    text="Steps of a trajectory; of a team, of each robot.",
+    text="Steps of a trajectory; for a team, of each robot.",
 )
 @options.team()
 @options.law(options.ASSUMED)
@@ -75,15 +75,15 @@ def simulate(
     """Record logs of a policy on the tables of CLOUDS, by default the ten that come with halfseen.
 
     Every policy starts from the tables as the camera sees them; what is dirty and how well it can be gripped is drawn
-    again for each trajectory. "greedy" washes what promises most now; "history" also learns from failed grasps;
-    "-penalty" counts what leaving dirty things behind will cost. Cuts come at any time alike (independent), sooner
-    where much is hidden (occlusion), or when an attempt drags on (attempt).
+    again for each trajectory. "greedy" washes what should pay most now; "history" also learns from failed grasps;
+    "-penalty" counts the cost of leaving dirty objects behind. Cuts come at a constant rate (independent), sooner
+    where much is hidden (occlusion), or when an attempt takes long (attempt).
 
     With --team, whichever robot is free decides, and a cut ends the table for all. The heuristics then leave alone what
-    another robot is at, and count what a second costs the team.
+    another robot is handling, and count the team's cost of time.
     """
     if out.exists() and not overwrite:
-        raise ArgumentError(f"{out}: it is there already; choose another folder, or pass --overwrite to replace it")
+        raise ArgumentError(f"{out}: it already exists; choose another folder, or pass --overwrite to replace it")
     num_clouds = num_scenes(clouds)
     with Progress(_START + num_clouds * (1 + _TABLE), "start") as bar:
         from halfseen.world import TableWorld, WorldConfig
@@ -125,13 +125,13 @@ def _lines(report: dict[str, Any]) -> list[str]:
 @click.option(
     "--repetitions",
     type=click.IntRange(max=options.MOST_EPISODES),
-    help="Fresh logs and episodes; the paper made 10,000.",
+    help="Number of fresh logs and episodes; the paper made 10,000.",
 )
 @click.option("--only", multiple=True, metavar="NAME", help="Run this experiment alone; may be given more than once.")
-@options.seed("study but for measured times")
+@options.seed("study, except for measured times")
 @options.law(SHIPPED)
 @options.flag("--no-laws", text="Learn by linear eq. 3, without laws fitted to the logs.")
-@options.flag("--resume", text="Go on where a killed study stopped, or add repetitions to one.")
+@options.flag("--resume", text="Continue a study that was stopped, or add repetitions to one.")
 @options.workers
 @options.flag("--json", "is_json", text="Print study.json instead of the answer.")
 @click.argument("clouds", nargs=-1, type=options.PATH)
@@ -149,7 +149,7 @@ def study(
 ) -> None:
     """Regenerate the figures, tables and report of the study from ten captured tables, or from CLOUDS of your own.
 
-    The world has the law of the physical cell that comes with the package, or the one in a folder; or assumed ones.
+    The world has the law of the physical cell that comes with the package, the law in a folder, or assumed laws.
 
     Experiments: reward, planning, censoring, grasp, attempts, clutter, regret.
     """

@@ -63,8 +63,7 @@ def kind_of(source: str, is_mapped: bool = False) -> str:
         return "older" if is_older(place_of(source)) else "parquet"
     if not path.exists():
         raise LogError(
-            f"{source}: there is no such file or folder; a Minari dataset is called {MINARI}NAME-v0, and a database "
-            f"{SQL}URL"
+            f"{source}: no such file or folder; give a Minari dataset as {MINARI}NAME-v0, a database as {SQL}URL"
         )
     if (path / "meta" / "info.json").exists():
         return "lerobot"
@@ -187,12 +186,12 @@ def _read_sql(url: str, how: Reading, missing: str | None) -> "Logs":
     if how.mapping is not None:
         if (how.stages, how.trajectories, how.objects) != (None, None, None):
             raise ArgumentError(
-                f"--mapping {how.mapping}: --stages, --trajectories and --objects say the same; give one of them"
+                f"--mapping {how.mapping}: it replaces --stages, --trajectories and --objects; leave these out"
             )
         if is_event_mapping(how.mapping):
             query = read_event_mapping(how.mapping).table.query
             if query is None:
-                raise ArgumentError(f"{how.mapping}, table.query: it is missing; say which SELECT gives the rows")
+                raise ArgumentError(f"{how.mapping}, table.query: it is missing; give the SELECT that returns the rows")
             return read_event_table(read_rows(url, query), how.mapping, place=shown_url(url), missing=missing)
         return read_sql(url, read_queries(how.mapping), missing=missing)
     if how.stages is None or how.trajectories is None:
@@ -210,8 +209,8 @@ def _read_events(source: str, how: Reading, missing: str | None) -> "Logs":
     refuse_workbook(Path(source))
     if how.mapping is None:
         raise ArgumentError(
-            f"{source}: it is no table of steps (no column is_last), and a table of other columns needs --mapping; "
-            f"make one to start from: halfseen convert {shlex.quote(source)} --mapping-template --out cell.toml"
+            f"{source}: it is not a table of steps (no column is_last), and a table with other columns needs "
+            f"--mapping; make a template: halfseen convert {shlex.quote(source)} --mapping-template --out cell.toml"
         )
     tables = tables_of_events(Path(source)) if Path(source).is_dir() else source
     return read_event_table(tables, how.mapping, missing=missing)

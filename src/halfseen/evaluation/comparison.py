@@ -168,7 +168,7 @@ def compared(
             more = needed(difference, gain if np.isfinite(gain) else difference.value, level, ours.alike_less(baseline))
         if difference is None or adjusted is None:
             why = ours.why_unknown or baseline.why_unknown
-            verdict, reason = "inconclusive", why or f"nothing is known of what {baseline.name} earns"
+            verdict, reason = "inconclusive", why or f"the value of {baseline.name} is unknown"
         else:
             verdict, reason = verdict_of(difference, baseline.name, adjusted <= 1.0 - level, unit, more)
             # For two identical policies there is nothing to overturn.

@@ -219,7 +219,7 @@ def _quantile(level: float, shift: float, freedom: float) -> float:
 def check_level(level: float) -> None:
     """Refuse a level that is not positive, or above `LARGEST_LEVEL`."""
     if not 0.0 < level <= LARGEST_LEVEL:
-        raise ArgumentError(f"level is {level}; it lies between 0 and 1, and is {LARGEST_LEVEL} at most")
+        raise ArgumentError(f"level is {level}; give a number above 0 and at most {LARGEST_LEVEL}")
 
 
 class Possible(NamedTuple):

@@ -56,7 +56,7 @@ def per_hour(problem: Problem, policy: Contender, logging: Contender, level: flo
     own = logging_contribution(timed)
     rates = _rate(policy, ours, level), _rate(logging, own, level)
     is_known = None not in rates
-    return PerHour(*rates, None if is_known else "how long a trajectory takes is known too little")
+    return PerHour(*rates, None if is_known else "the duration of a trajectory is too uncertain")
 
 
 def _rate(earned: Contender, took: Contender, level: float) -> Rate | None:
@@ -86,7 +86,7 @@ def why_no_rate(trajectories: TrajectoryArrays) -> str | None:
     if len(took_s) > 1 and np.ptp(took_s) <= SAME_TIME * took_s.max():
         return "all stages take the same time, so the clock of these logs seems to count stages"
     if np.allclose(reward * took_s.sum(), took_s * reward.sum(), rtol=1e-6, atol=0.0):
-        return "the reward of a stage is its duration, in whatever unit"
+        return "the reward of a stage is its duration, in some unit"
     return None
 
 
@@ -195,7 +195,7 @@ def _cells(estimate: Estimate | None) -> tuple[str, str]:
 def claim_of(found: Evaluation) -> str:
     """The smallest gain over each baseline that can be claimed."""
     if found.verdict != "better":
-        return "nothing; no policy on the way from what the log does to the best guess is surely better"
+        return "nothing; no policy between the logging policy and the best guess is surely better"
     baseline = deciding(found.comparisons).baseline
     return f"at least {found.difference.low:.3g}{_unit(found)} more a trajectory than {baseline}"
 
@@ -217,7 +217,7 @@ def guess_of(found: Evaluation) -> str:
 def more_trajectories(needed: Needed | None, num_trajectories: int) -> str:
     """How many more trajectories would decide."""
     if needed is None or np.isinf(needed.times):
-        return "no log of a size that can be recorded would show so small a difference"
+        return "no log of practical size would show so small a difference"
 
     def more(times: float) -> str:
         number = (times - 1.0) * num_trajectories

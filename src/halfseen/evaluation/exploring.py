@@ -52,8 +52,9 @@ class Exploration(NamedTuple):
     def __str__(self) -> str:
         rows = [("try", "where", "now", "then", "of the variance"), *(region.cells for region in self.regions)]
         hint = (
-            f"Or try more often what says most: from as many trajectories the interval would be {self.narrower:.1f} "
-            "times narrower (for `halfseen serve --explore FILE`, which --exploration FILE writes)."
+            "Or try the most informative actions more often: from as many trajectories the interval would be "
+            f"{self.narrower:.1f} times narrower (for `halfseen serve --explore FILE`, which --exploration FILE "
+            "writes)."
         )
         return "\n".join([hint, "", *aligned(rows, left=(0, 1))])
 

@@ -161,7 +161,7 @@ class HeldOutVerdict:
         if self.evaluation is None or self.best is None:
             return ()
         is_alone = self.best.verdict == "better" != self.verdict
-        rest = "; it is better if nothing but it was asked about (--trust best)" if is_alone else ""
+        rest = "; it is better if tested alone (--trust best)" if is_alone else ""
         return f"Vouched for: {claim_of(self.evaluation)}.", f"Best guess: {guess_of(self.best)}{rest}."
 
     @property
@@ -236,7 +236,7 @@ def held_out_verdict(
     """
     check_fitted(learner, "policy_")
     if num_folds < 2:
-        raise ArgumentError(f"num_folds is {num_folds}; at least 2 are needed")
+        raise ArgumentError(f"num_folds is {num_folds}; give at least 2")
     try:
         with warnings.catch_warnings():
             # Problems in a part of the log are also in the whole log, for which the warning was issued.
@@ -248,9 +248,7 @@ def held_out_verdict(
             policy = replace(policy, fold=policy.fold[-present.num_trajectories :])
             if isinstance(learner.model_.space, TabularQ):
                 if against not in (None, LOGGING):
-                    raise ArgumentError(
-                        "a policy of a table of states is compared with what made the log alone; leave against out"
-                    )
+                    raise ArgumentError("a tabular policy is compared only with the logging policy; leave against out")
                 gain = gain_of(policy, learner.model_, present, float(learner.q_functions_.reg[-1, 0]), level)
                 found = HeldOutVerdict(*gain.verdict(level), num_folds)
             else:

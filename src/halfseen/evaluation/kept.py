@@ -34,7 +34,7 @@ UNITS = {
     3600.0: "seconds for hours",
     180.0 / np.pi: "degrees for radians",
     25.4: "millimetres for inches",
-    -1.0: "the other sign",
+    -1.0: "the opposite sign",
 }
 """Factors between units of a covariate, described for multiplication; division is the other way round."""
 
@@ -107,8 +107,8 @@ def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[tuple[
                 continue
             found.setdefault(
                 name,
-                f"covariate {name} is distributed otherwise than in the log that it was learned from: from stage "
-                f"{stage['stage']} on, {apart[name]:.0%} of the states lie elsewhere",
+                f"covariate {name} is distributed differently than in the training log: from stage {stage['stage']} "
+                f"on, {apart[name]:.0%} of the states lie elsewhere",
             )
     return tuple(units.values()), tuple(dict.fromkeys(found.values()))
 
@@ -125,11 +125,11 @@ def _other_unit(kept: Mapping[str, Any], values: Any, least: float) -> str:
     factor, is_inverse = factors[best], best % 2 == 1
     what = UNITS[factors[best - is_inverse]]
     if factor == -1.0:
-        return f"has {what} than in the log that it was learned from, as if in another direction: multiply it by -1"
+        return f"has {what} of that in the training log, as if in another direction: multiply it by -1"
     size = f"{1.0 / factor:,.4g} times as small" if is_inverse else f"{factor:,.4g} times as large"
     mend = f"multiply it by {1.0 / factor:,.4g}" if is_inverse else f"divide it by {factor:,.4g}"
     other = " the other way round" if is_inverse else ""
-    return f"is {size} as in the log that it was learned from, as if in another unit ({what}{other}): {mend}"
+    return f"is {size} as in the training log, as if in another unit ({what}{other}): {mend}"
 
 
 def _apart(kept: Mapping[str, Any], values: Any) -> float:

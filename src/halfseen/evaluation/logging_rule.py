@@ -197,21 +197,21 @@ def logging_rule(
         is_taken[begun] = likely > 0.5
         checked = is_right[likely > 0.5]
         note = (
-            "where it was followed the log says, by probabilities above one half; what it would do elsewhere a model "
-            f"of the actions says, which was right in {checked.sum()} of {len(checked)} stages where that can be "
-            "checked"
+            "where it was followed is known from probabilities above one half; what it would do elsewhere is "
+            f"predicted by a model of the actions, which was right in {checked.sum()} of {len(checked)} stages where "
+            "that can be checked"
         )
         return LoggingRule(probabilities, is_taken, note)
     chance = float((1.0 / trajectories.is_possible[begun][known].sum(axis=1)).mean())
     share, num_known = is_right[known].mean(), int(known.sum())
     if not share - chance > 2.0 * np.sqrt(share * (1.0 - share) / num_known):
         return (
-            f"the log shows no rule: what seems its most probable action was taken in {share:.0%} of the stages, and "
+            f"the log shows no rule: its apparently most probable action was taken in {share:.0%} of the stages, and "
             f"would be by chance in {chance:.0%}"
         )
     note = (
-        "the log does not reveal it, so it is what a model of the actions takes for the most probable one; that was "
-        f"taken in {share:.0%} of {num_known} stages, and how often the model is right cannot be checked"
+        "the log does not reveal it, so it is the most probable action by a model of the actions; that was taken in "
+        f"{share:.0%} of {num_known} stages, and the accuracy of the model cannot be checked"
     )
     return LoggingRule(probabilities, None, note)
 

@@ -61,7 +61,7 @@ def doubt_of(logs: Logs, task: Task, has_probability: bool, trust: Collection[st
     """
     unknown = [name for name in trust if name not in TRUST]
     if unknown:
-        raise ArgumentError(f"trust is {unknown[0]!r}; a log may be trusted in {', '.join(TRUST)}")
+        raise ArgumentError(f"trust is {unknown[0]!r}; give some of {', '.join(TRUST)}")
     looked_at = getattr(task, "covariates", ())
     checks = {
         PROBABILITIES: (untrue_probabilities(logs) if has_probability else ()),
@@ -76,8 +76,8 @@ def doubt_of(logs: Logs, task: Task, has_probability: bool, trust: Collection[st
 
 
 HISTORY_COUNTS = (
-    "what went before a stage foretells its outcome beyond the covariates, so trajectories are weighted as a whole; "
-    "record what they have in common as a covariate"
+    "earlier stages predict the outcome of a stage beyond the covariates, so trajectories are weighted as a whole; "
+    "record what the stages of a trajectory have in common as a covariate"
 )
 """Note for states that are incomplete."""
 
@@ -305,12 +305,12 @@ def judging(
     check_level(level)
     check_seed(random_state)
     if propensity not in get_args(Propensity):
-        raise ArgumentError(f"propensity is {propensity!r}; it is 'logged' or 'estimated'")
+        raise ArgumentError(f"propensity is {propensity!r}; give 'logged' or 'estimated'")
     if num_folds < 2:
-        raise ArgumentError(f"num_folds is {num_folds}; at least 2 are needed")
+        raise ArgumentError(f"num_folds is {num_folds}; give at least 2")
     if logs.num_trajectories < 2 * num_folds:
         raise ArgumentError(
-            f"the log has {logs.num_trajectories} trajectories, and {num_folds} folds need {2 * num_folds}; record more"
+            f"the log has {logs.num_trajectories} trajectories, but {num_folds} folds need {2 * num_folds}; record more"
         )
     is_logged, is_default = propensity == "logged", against is None
     baselines = baselines_of(DEFAULT if is_default else against, logs)

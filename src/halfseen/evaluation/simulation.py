@@ -129,13 +129,14 @@ def compare_in_world(
     for each in policies:
         if not isinstance(each, Policy):
             raise ArgumentError(
-                f"{type(each).__name__} decides nothing about tables, so there is no world to play it in"
+                f"{type(each).__name__} does not decide about tables, as the simulated world needs; give a policy of "
+                "tables"
             )
         if team is not None:
             check_fits(each, played)
     check_level(level)
     if episodes < 2:
-        raise ArgumentError(f"episodes is {episodes}; at least 2 are needed for an interval")
+        raise ArgumentError(f"episodes is {episodes}; give at least 2, for an interval")
     ours, *theirs = (
         _played(partial(evaluate, played, layouts, each), episodes, seed, on_progress) for each in policies
     )

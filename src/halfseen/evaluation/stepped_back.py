@@ -153,7 +153,7 @@ def _replaced(categories: Categories, stages: Any) -> tuple[Any, tuple[str, ...]
         columns[name] = values.where(is_known, usual)
         named, num = ", ".join(map(repr, sorted(set(values[~is_known])))), int((~is_known).sum())
         notes.append(
-            f"in {num} {'stage' if num == 1 else 'stages'} {name} is {named}, which the policy does not know: the rule "
-            f"decided in its place, and models take it for {usual!r}"
+            f"in {num} {'stage' if num == 1 else 'stages'} {name} is {named}, which the policy does not know: the "
+            f"rule decided in its place, and models treat it as {usual!r}"
         )
     return stages.assign(**columns), tuple(notes)

@@ -46,12 +46,12 @@ class Gain(NamedTuple):
     def verdict(self, level: float) -> tuple[Verdict, str]:
         """The verdict, and its reason."""
         if self.num_stages < FEWEST_STAGES:
-            few = f"actions that it takes were completed {self.num_stages:.1f} times a state"
-            return "inconclusive", f"{few}, and {FEWEST_STAGES:.0f} are needed; record more"
+            few = f"the actions of the policy were completed {self.num_stages:.1f} times a state"
+            return "inconclusive", f"{few}, but {FEWEST_STAGES:.0f} are needed; record more"
         found: Verdict = "better" if self.low > 0 else "not better" if self.high < 0 else "inconclusive"
         more = f"{abs(self.value):.3g} {'more' if self.value >= 0 else 'less'}"
         within = f"{level:.0%} interval {self.low:.3g} to {self.high:.3g} more"
-        return found, f"it earns {more} than what made the log ({within})"
+        return found, f"it earns {more} than the logging policy ({within})"
 
 
 class _Rows(NamedTuple):

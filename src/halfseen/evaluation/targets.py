@@ -95,8 +95,8 @@ def refuse_other_names(policy: NamedActionPolicy, logs: Logs, who: str) -> None:
     for name in policy.actions:
         if isinstance(name, str) and name not in logged and composed(name) in composed_as:
             raise ArgumentError(
-                f"the action {name!a} of {who} is {composed_as[composed(name)]!a} in the log, the same word "
-                "composed otherwise by Unicode; write it there as the policy has it"
+                f"the action {name!a} of {who} is {composed_as[composed(name)]!a} in the log, the same word in "
+                "another Unicode form; write it in the log as the policy has it"
             )
     is_text = [{isinstance(name, str) for name in names} for names in (policy.actions, logged)]
     if len(is_text[0]) != 1 or len(is_text[1]) != 1 or is_text[0] == is_text[1]:
@@ -104,7 +104,7 @@ def refuse_other_names(policy: NamedActionPolicy, logs: Logs, who: str) -> None:
     alike = next((name for name in logged if str(name) == str(policy.actions[0])), logged[0])
     words = ["text" if True in each else "whole numbers" for each in is_text]
     raise ArgumentError(
-        f"the actions of {who} are {words[0]}, such as {shown(policy.actions[0])}, and the log's are {words[1]}, such "
+        f"the actions of {who} are {words[0]}, such as {shown(policy.actions[0])}, but the log's are {words[1]}, such "
         f"as {shown(alike)}; write the log's column action as {words[0]}"
     )
 
@@ -128,8 +128,8 @@ def target_probabilities(
     probabilities = np.where(trajectories.is_begun[..., None], probabilities, 0.0)
     if np.isnan(probabilities).any():
         raise ArgumentError(
-            f"{type(policy).__name__} draws its actions and does not say the probability of each, which evaluation by "
-            "a log needs; evaluate it by simulation"
+            f"{type(policy).__name__} draws its actions but does not give their probabilities, which evaluation by a "
+            "log needs; evaluate it by simulation"
         )
     wrong = trajectories.is_begun[..., None] & (probabilities > 0) & ~trajectories.is_possible
     if wrong.any():
@@ -219,7 +219,7 @@ def _written_baseline(text: str, logs: Logs) -> Baseline:
     if path.is_dir():
         return Baseline(read_policy(path).policy, f"the policy {path.name}")
     raise ArgumentError(
-        f"against is {text!r}; it is {LOGGING}, {LOGGING_RULE}, {SEQUENCE}A,B,A, a file with a rule (.csv or .toml), "
+        f"against is {text!r}; give {LOGGING}, {LOGGING_RULE}, {SEQUENCE}A,B,A, a file with a rule (.csv or .toml), "
         f"or a policy folder{did_you_mean(text, (LOGGING, LOGGING_RULE))}"
     )
 
@@ -253,11 +253,11 @@ def baseline_probabilities(
     own = horizon_of(policy, horizon)
     if own < (logs.horizon if isinstance(task, NamedActions) else horizon):
         raise ArgumentError(
-            f"against: {name} is for {own} stage(s), and a trajectory has up to {logs.horizon}; add some"
+            f"against: {name} is for {own} stage(s), but a trajectory has up to {logs.horizon}; add stages"
         )
     if isinstance(task, NamedActions):
         if not isinstance(policy, NamedActionPolicy):
-            raise ArgumentError(f"against: {name} decides nothing about named actions, which the log is of")
+            raise ArgumentError(f"against: {name} does not decide about the named actions of the log")
         if {composed(str(each)) for each in policy.actions} & {composed(str(each)) for each in task.names}:
             refuse_other_names(policy, logs, name)
         unknown = _unknown_action(policy, logs, task)
@@ -266,7 +266,7 @@ def baseline_probabilities(
         kept = tuple(name for name in policy.actions if name in task.names)
         policy = _KnownActions(policy, kept, own)
     elif isinstance(policy, NamedActionPolicy):
-        raise ArgumentError(f"against: {name} decides nothing about tables of objects, which the log is of")
+        raise ArgumentError(f"against: {name} does not decide about the tables of objects of the log")
     return target_probabilities(policy, logs, trajectories, task)
 
 

@@ -132,25 +132,24 @@ def why_unknown(
     """
     if unseen is not None:
         return (
-            f"{who} takes {unseen}, which no trajectory of the log was seen to complete, so nothing is known of what "
-            "it brings; log some trajectories that take it, uniformly at random now and then"
+            f"{who} takes {unseen}, which no trajectory of the log completed, so its outcome is unknown; record some "
+            "trajectories that take it, uniformly at random now and then"
         )
     lacking = np.flatnonzero(support == 0)
     if len(lacking):
         return (
-            f"no logged action of stage {lacking[0] + 1} is one that {who} would take; log some trajectories that take "
-            "them, uniformly at random now and then"
+            f"no logged action of stage {lacking[0] + 1} is one that {who} would take; record some trajectories with "
+            "such actions, uniformly at random now and then"
         )
     if unexplored > MOST_UNEXPLORED:
         return (
             f"in {unexplored:.0%} of the stages {who} does something else where the log took its action with "
-            "probability 1, so nothing is known of what that brings; explore there now and then, as halfseen serve "
-            "--explore does"
+            "probability 1, so the outcome is unknown; explore there now and then, as halfseen serve --explore does"
         )
     if effective_sample_size < fewest:
         return (
-            f"the effective sample size is {effective_sample_size:.1f} trajectories that follow {who}, and fewer than "
-            f"{fewest:g} tell nothing; {_remedy(num_trajectories, fewest * trajectories_for_one)}"
+            f"the effective sample size is {effective_sample_size:.1f} trajectories that follow {who}, but at least "
+            f"{fewest:g} are needed; {_remedy(num_trajectories, fewest * trajectories_for_one)}"
         )
     return None
 
@@ -158,11 +157,11 @@ def why_unknown(
 def _remedy(num_trajectories: int, enough: float) -> str:
     closer = "of a logging policy that is closer to this one"
     if not enough < MANY_TRAJECTORIES:
-        return f"no log of a size that can be recorded would do: record some trajectories {closer}"
+        return f"no log of practical size would do: record some trajectories {closer}"
     if enough <= num_trajectories:
         return f"record more trajectories, or some {closer}"
     size = 10.0 ** np.floor(np.log10(enough))
-    return f"some {np.ceil(enough / size) * size:,.0f} trajectories like these would do, or fewer {closer}"
+    return f"about {np.ceil(enough / size) * size:,.0f} trajectories like these would do, or fewer {closer}"
 
 
 def verdict_of(
@@ -198,7 +197,7 @@ def verdict_of(
         return "not better", f"it earns {less} {baseline}, {within}"
     reason = f"it earns {within} a trajectory than {baseline}"
     if difference.low > 0 or difference.high <= 0:
-        return "inconclusive", f"{reason}, which is not enough among so many baselines; name fewer"
+        return "inconclusive", f"{reason}, which is not significant among so many baselines; give fewer"
     return "inconclusive", f"{reason}; {_more_trajectories(more or needed(difference, difference.value, LEVEL))}"
 
 
@@ -213,7 +212,9 @@ def _between(low: float, high: float, of: str) -> str:
 
 def _more_trajectories(more: Needed) -> str:
     if np.isinf(more.times):
-        return "there is no significant difference, nor would a log many times as large show one if that is all"
+        return (
+            "there is no significant difference, and a log many times as large would not show one if it is this small"
+        )
     gain = f"{abs(more.gain):.3g} {'less' if more.gain < 0 else 'more'}"
     times = np.ceil(more.times * 10) / 10
     return f"if it truly is the {gain} that Q says, about {times:.1f} times as many trajectories would decide"
@@ -248,10 +249,10 @@ def in_words(gamma: float) -> str:
     """State the required strength of a cause in one sentence."""
     how = f"more than {STRONGEST:g}" if gamma >= STRONGEST else f"{gamma:.2g}"
     if gamma < 1.05:
-        return "Any cause of cuts that is not in the log could undo this"
+        return "Any cause of cuts that is not in the log could overturn this"
     return (
-        f"To undo this, a cause of cuts that is not in the log would have to change the odds of being cut by a factor "
-        f"of {how}"
+        "To overturn this, a cause of cuts that is not in the log would have to change the odds of being cut by a "
+        f"factor of {how}"
     )
 
 

@@ -61,9 +61,8 @@ def logged_propensity(trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray
     if missing.any():
         trajectory, stage = np.argwhere(missing)[0]
         raise LogError(
-            f"trajectory {trajectories.trajectory_ids[trajectory]}, stage {stage + 1}: its probability was not logged, "
-            "so how likely its action was is not known; log it, or estimate it (--propensity estimated, in Python "
-            "propensity='estimated')"
+            f"trajectory {trajectories.trajectory_ids[trajectory]}, stage {stage + 1}: the probability of its action "
+            "was not logged; log it, or estimate it (--propensity estimated, in Python propensity='estimated')"
         )
     return np.where(is_needed, trajectories.probability, 1.0)
 

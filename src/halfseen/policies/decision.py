@@ -95,7 +95,7 @@ def lead(names: Sequence[str], q: Float[np.ndarray, " A"], best: int, chance_bes
     """Say by how much the best action leads the next best, and how sure that is."""
     other = next_best(q, best)
     if other is None:
-        return f"{names[best]}: nothing else is possible"
+        return f"{names[best]}: no other action is possible"
     gap = float(q[best] - q[other])
     is_same = gap < SAME_VALUE * max(1.0, abs(float(q[best])))
     worth = f"worth as much as {names[other]}" if is_same else f"worth {gap:.2f} more than {names[other]}"
@@ -109,7 +109,9 @@ def _how_sure(best: str, chance_best: Mapping[str, float]) -> str:
     sure = f", and best with a chance of {chance_best[best]:.0%}"
     if chance_best[likeliest] < chance_best[best] + _LIKELIER:
         return sure
-    return f"{sure}; {likeliest} is likelier best ({chance_best[likeliest]:.0%}), but the logs bear it out less"
+    return (
+        f"{sure}; {likeliest} is more likely the best ({chance_best[likeliest]:.0%}), but has less support in the logs"
+    )
 
 
 def values_by_name(names: Sequence[str], q: Float[np.ndarray, " A"]) -> dict[str, float | None]:

@@ -75,16 +75,15 @@ def by_place(
     if len(hidden) == len(kept) > 0 and len(now_m):
         raise PolicyError(
             f"none of the {len(now_m)} objects that the cloud shows is within {FARTHEST_M:.2f} m of where one of the "
-            f"{len(kept)} objects on the table was: the history is of another table, or its camera stood elsewhere; "
-            "give the log of this table, or begin a new trajectory"
+            f"{len(kept)} objects on the table was: the history is of another table, or its camera was moved; give "
+            "the log of this table, or begin a new trajectory"
         )
     was = np.full(len(now_m), -1)
     for rank, now in number_of.items():
         if now >= 0:
             was[now] = rank
     notes = [
-        f"object {now} may be another than {shown(names[rank])} of the history, which it is taken for: one more is "
-        "nearly as near"
+        f"object {now} is taken to be {shown(names[rank])} of the history, but another is nearly as near"
         for (rank, now), is_doubtful in zip(number_of.items(), found.is_doubtful.tolist(), strict=True)
         if is_doubtful and now >= 0
     ]
@@ -93,12 +92,12 @@ def by_place(
         if away_m > NEARLY_AS_NEAR_M:
             notes.append(
                 f"WASH of {shown(names[washed])} is taken to have failed: object {number_of[washed]}, {away_m:.2f} m "
-                "from where it was, is taken for it"
+                "from where it was, is taken to be the same"
             )
     if racked is not None:
         stands = (was < 0) & (np.linalg.norm(now_m - was_m[racked], axis=1) < NEARLY_AS_NEAR_M)
         notes += [
-            f"WASH of {shown(names[racked])} held, but object {now} stands where it was: it is taken for another"
+            f"WASH of {shown(names[racked])} held, but object {now} stands where it was: it is taken to be another"
             for now in np.flatnonzero(stands).tolist()
         ]
     notes += [
@@ -133,10 +132,10 @@ def by_order(
     was = kept[kept != washed] if is_washed else kept
     if len(was) != len(hides_now):
         raise PolicyError(
-            f"{len(kept)} objects are on the table, and the cloud shows {len(hides_now)}: the history is of other "
-            "objects than the cloud shows; give the log of this table, or one with the places of its objects"
+            f"{len(kept)} objects are on the table by the history, but the cloud shows {len(hides_now)}: these are "
+            "other objects; give the log of this table, or one with the places of its objects"
         )
-    note = "objects of the history have no places (x_m, y_m, z_m): they are taken in their order"
+    note = "objects of the history have no places (x_m, y_m, z_m): they are matched by order"
     return Identities(was, is_washed, (note, *_other_order(hides_before[np.ix_(was, was)], hides_now)))
 
 
@@ -197,7 +196,7 @@ def present_state(
             whether = (
                 f"whether {done.verb} of {shown(_names(trajectory)[done.target])} in stage {trajectory.horizon} held"
             )
-            notes.append(f"{whether} is not known; it is not counted")
+            notes.append(f"{whether} is unknown; the attempt is not counted")
         elif not (is_held and is_wash):
             target = int(np.flatnonzero(same.was == done.target)[0])
             occluded = 1.0 - np.prod(1.0 - last.hides[done.target][last.is_on_table])
@@ -236,17 +235,17 @@ def _last_action(trajectory: Logs) -> _Done | None:
     verb, name = (value_at(trajectory.stages, column, -1) for column in ("action", "object"))
     if trajectory.is_finished[0] or (not pd.isna(verb) and verb == Verb.FINISH.name):
         raise LogError(
-            f"{place(trajectory.stages, -1)}: the trajectory came to its own end, so nothing is left to decide; "
-            "without a history the cloud is the first of a new trajectory"
+            f"{place(trajectory.stages, -1)}: the trajectory has finished, so nothing is left to decide; to begin a "
+            "new one with this cloud, leave the history out"
         )
     if pd.isna(verb):
         return None
     listed = _names(trajectory)
     if verb not in Verb.__members__ or pd.isna(name) or name not in listed:
         raise LogError(
-            f"{place(trajectory.stages, -1)}: action {shown(verb)} of object {shown(name)} is none that the table "
-            f"knows; give {' or '.join(verb.name for verb in TARGETED)} with an object of the stage, or null where "
-            "nothing was done yet"
+            f"{place(trajectory.stages, -1)}: action {shown(verb)} of object {shown(name)} is unknown to a table; "
+            f"give {' or '.join(verb.name for verb in TARGETED)} with an object of the stage, or null where nothing "
+            "was done yet"
         )
     return _Done(verb, listed.index(name))
 

@@ -70,20 +70,18 @@ def learner_for(
         num_robots = robots_in(logs)
         if num_robots:
             if prior_law is not None:
-                raise ArgumentError(
-                    "--prior-law is for the tables of one robot, and the log is of a team: leave it out"
-                )
+                raise ArgumentError("--prior-law is for tables of one robot, but the log is of a team: leave it out")
             return _of_team(logs, num_robots, horizon, grasp, parameters)
         length = max(TABLE_HORIZON, longest) if horizon is None else horizon
         laws: Any = AUTO if has_laws else None
         if prior_law is not None:
             if not has_laws:
-                raise ArgumentError("--prior-law is given and --no-laws, too; leave one of them out")
+                raise ArgumentError("--prior-law and --no-laws are both given; leave one out")
             parameters |= {"prior_law": prior_law}
         learner = CensoredQLearner.for_table(length, grasp=_grasp_named(grasp), laws=laws, **parameters)
         note = (
-            f"no trajectory has more than {longest} stages, and horizon is {length}; if trajectories end by themselves "
-            f"after fewer, pass --horizon"
+            f"no trajectory has more than {longest} stages, but horizon is {length}; if trajectories end by "
+            "themselves after fewer, pass --horizon"
         )
         return LearnerChoice(learner, () if horizon is not None or longest == length else (note,))
     if prior_law is not None:
@@ -101,12 +99,12 @@ def _of_team(
 ) -> LearnerChoice:
     """Learn one Q for all robots, with as many decisions of each as the log states."""
     if grasp == "beta":
-        raise ArgumentError("--grasp is beta, and the log is of a team, which takes auto or laplace; name one of them")
+        raise ArgumentError("--grasp is beta, but the log is of a team; give auto or laplace")
     from halfseen.world.log_checks import most_decisions
 
     had = most_decisions(logs, num_robots)
     if horizon is not None and horizon < had:
-        raise ArgumentError(f"--horizon is {horizon}, and a robot of the log has {had} decisions to go; give {had}")
+        raise ArgumentError(f"--horizon is {horizon}, but a robot of the log has {had} decisions to go; give {had}")
     length = had if horizon is None else horizon
     learner = CensoredQLearner.for_team(num_robots, length, grasp=_grasp_named(grasp), **parameters)
     return LearnerChoice(learner, num_robots=num_robots)

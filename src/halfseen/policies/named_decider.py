@@ -194,7 +194,7 @@ def flat_reason(
     least = int(np.argmin(left))
     name = policy.covariates[least]
     if q[best] - q[other] - left[least] < SAME_VALUE:
-        return f"{start}; none of what it looks at speaks for it more than what is usual in the logs does."
+        return f"{start}; no covariate speaks for it more than its usual value in the logs does."
     is_value, is_other = _written(row[name], 6), _written(instead[name], 3)
     would = f"worth {abs(left[least]):.2f} {'more' if left[least] >= 0 else 'less'} than {names[other]}"
     usual = "" if _is_switch(ranges[name], row[name]) else f", {_usual(ranges[name])} in the logs"
@@ -267,7 +267,7 @@ def checked_stage(stage: Any, latest: int, where: str, what: str = "the policy's
         It is no whole number from 1 to `latest`, which is `what`.
     """
     if isinstance(stage, bool) or not (hasattr(stage, "__index__") and 1 <= int(stage) <= latest):
-        raise PolicyError(f"{where}: stage is {stage}; it is a whole number from 1 to {what}{latest:,}")
+        raise PolicyError(f"{where}: stage is {stage}; give a whole number from 1 to {what}{latest:,}")
     return int(stage)
 
 
@@ -281,14 +281,14 @@ def _check_row(row: Frame, policy: DiscretePolicy, where: str) -> None:
     missing = [name for name in policy.covariates if name not in row.columns]
     if missing:
         raise PolicyError(
-            f"{where}: the policy looks at {covariates_in_words(policy)}, and there is no {missing[0]!r} among "
-            f"{', '.join(map(str, row.columns)) or 'nothing'}; give what the policy was learned from"
+            f"{where}: the policy looks at {covariates_in_words(policy)}, but {missing[0]!r} is missing (given: "
+            f"{', '.join(map(str, row.columns)) or 'nothing'}); give all covariates of the policy"
         )
     null = next((name for name in policy.covariates if row[name].isna().to_numpy().any()), None)
     if null is not None:
         raise PolicyError(
-            f"{where}: covariate {null!r} is null; fill it in, leave the state out, or learn the policy by --missing "
-            f"{null}=median+flag, which fills in what is null"
+            f"{where}: covariate {null!r} is null; fill it in, leave the state out, or learn the policy with "
+            f"--missing {null}=median+flag, which fills in nulls"
         )
     try:
         policy.looks_at.encode(row)
@@ -307,4 +307,4 @@ def _row(state: Mapping[str, Any], where: str) -> Frame:
     try:
         return pd.DataFrame([dict(state)])
     except OverflowError as error:
-        raise PolicyError(f"{where}: a number of it is too large for any covariate; look at its unit") from error
+        raise PolicyError(f"{where}: it holds a number that is too large for any covariate; check its unit") from error

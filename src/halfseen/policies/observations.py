@@ -79,7 +79,7 @@ def decider_of(
     if isinstance(policy, Policy):
         least = least_rewards or {}
         return TableDecider(policy, ranges, extrapolates=extrapolates, q_error=q_error, least_rewards=least)
-    raise ArgumentError(f"{type(policy).__name__} is no policy; give one of named actions or of tables")
+    raise ArgumentError(f"{type(policy).__name__} is not a policy; give one of named actions or of tables")
 
 
 def read_observation(
@@ -125,7 +125,9 @@ def read_observation(
         return read_table(stored, file, history, stage, labels, law).present
     for option, given in (("--history", history), ("--labels", labels)):
         if given is not None:
-            raise ArgumentError(f"{option} is for tables; this policy looks at the covariates of the stage alone")
+            raise ArgumentError(
+                f"{option} is for tables; this policy looks only at the covariates of the stage; leave {option} out"
+            )
     return _read_covariates(stored, file, stage)
 
 

@@ -48,21 +48,25 @@ def onnx_model(stored: StoredPolicy, num_objects: int | None = None) -> bytes:
     policy = stored.policy
     if isinstance(policy, DiscretePolicy):
         if num_objects is not None:
-            raise ArgumentError("a number of objects is for policies of tables, and this one is not: leave it out")
+            raise ArgumentError(
+                "a number of objects is for policies of tables, but this policy is of named actions: leave it out"
+            )
         model, properties = discrete_graph(policy)
         # The controller itself fills in missing covariates and their flags, before it runs the model.
         properties |= {} if policy.filling is None else {"missing": asdict(policy.filling)}
     elif isinstance(policy, LinearTablePolicy) and stored.is_table:
         model, properties = table_graph(policy, stored.horizon, num_objects or _most_objects(stored))
     else:
-        without = "; learn it without laws (halfseen learn --no-laws)" if stored.is_table else ""
-        raise PolicyError(f"the policy is of kind {stored.record['kind']!r}, which is not exported: serve it{without}")
+        without = ", or learn it without laws (halfseen learn --no-laws)" if stored.is_table else ""
+        raise PolicyError(
+            f"the policy is of kind {stored.record['kind']!r}, which cannot be exported: serve it{without}"
+        )
     model.producer_name, model.producer_version = "halfseen", halfseen.__version__
     helper.set_model_props(model, {name: json.dumps(value) for name, value in properties.items()})
     try:
         onnx.checker.check_model(model)
     except onnx.checker.ValidationError as error:
-        raise ArgumentError(f"the policy is none that ONNX can hold ({str(error).splitlines()[0]})") from error
+        raise ArgumentError(f"ONNX cannot hold the policy ({str(error).splitlines()[0]})") from error
     return model.SerializeToString()
 
 
@@ -181,7 +185,7 @@ def _ease(graph: Graph, state: _State) -> str:
 def _probability(graph: Graph, grasp: Any, state: _State) -> str:
     """Look up P(held) in a table."""
     if not isinstance(grasp, GraspTable):
-        raise ArgumentError(f"grasp is a {type(grasp).__name__}, no table of numbers, and ONNX can hold no other")
+        raise ArgumentError(f"grasp is a {type(grasp).__name__}, but ONNX can hold only a table of numbers")
     num_cells, most = grasp.probabilities.shape[0] - 1, grasp.probabilities.shape[-1] - 1
     not_hidden = graph("Sub", np.float32(1.0), "hides")
     shown = graph("Where", graph("Unsqueeze", "is_on_table", np.array([0])), not_hidden, np.float32(1.0))

@@ -43,7 +43,7 @@ NO_MARGINS: Margins = MappingProxyType({})
 
 ROUNDING = 1e-6
 """Relative error of values computed in single precision, such as states of tables."""
-NO_TRAJECTORY = "no trajectory of the logs came to this stage"
+NO_TRAJECTORY = "no trajectory of the logs reached this stage"
 
 
 def everything(stage: int) -> Ranges:
@@ -161,8 +161,8 @@ def refuse_far(ranges: Ranges | None, values: Values) -> None:
         if far:
             whose, value = far[0]
             raise OutOfRangeError(
-                f"{whose} is {_beyond(seen, value)} by more than these span, so that Q says nothing of it; look at its "
-                "unit, learn from logs that show it, or pass --extrapolate (extrapolates=True)"
+                f"{whose} is {_beyond(seen, value)} by more than the width of this range, so Q says nothing about it; "
+                "check its unit, learn from logs that show it, or pass --extrapolate (extrapolates=True)"
             )
 
 

@@ -64,19 +64,19 @@ def read_rule_table(path: str | Path, horizon: int, names: Sequence[Hashable] = 
     """
     path, known = Path(path), {str(name): name for name in names}
     if path.suffix.lower() not in _READERS:
-        raise ArgumentError(f"{path}: a rule is a file that ends in {' or '.join(_READERS)}")
+        raise ArgumentError(f"{path}: give a rule as a file that ends in {' or '.join(_READERS)}")
     try:
         return RuleTable(_rows(_READERS[path.suffix.lower()](path), known), horizon)
     except ArgumentError as error:
         raise ArgumentError(f"{path}: {error}") from error
     except (OSError, ValueError, csv.Error) as error:
-        raise ArgumentError(f"{path}: it cannot be read as a rule ({reason_of(error)}); mend it there") from error
+        raise ArgumentError(f"{path}: it cannot be read as a rule ({reason_of(error)}); fix it there") from error
 
 
 def named_in(kind: str, name: Any, known: Sequence[Any]) -> str:
     """Say that a name is not among the known ones."""
     there = list(map(str, known))
-    return f"there is no {kind} {name}; there are {', '.join(there)}{did_you_mean(str(name), there)}"
+    return f"unknown {kind} {name}; give one of {', '.join(there)}{did_you_mean(str(name), there)}"
 
 
 Entries = list[tuple[dict[str, Any], Any]]
@@ -93,7 +93,7 @@ def _csv_entries(path: Path, also: str | None = None) -> Entries:
         raise ArgumentError(f"its first line is {','.join(head)!r}; name each column once, one of them {wanted!r}")
     for number, row in enumerate(rows, start=1):
         if len(row) != len(head):
-            raise ArgumentError(f"row {number} has {len(row)} cells, and the first line {len(head)}")
+            raise ArgumentError(f"row {number} has {len(row)} cells, but the first line {len(head)}")
     cells = [dict(zip(head, row, strict=True)) for row in rows]
     return [({name: text for name, text in row.items() if text and name != ACTION}, row[ACTION]) for row in cells]
 
@@ -106,7 +106,7 @@ def _toml_entries(path: Path) -> Entries:
     for number, rule in enumerate(rules, start=1):
         others = sorted(set(rule) - {"when", ACTION})
         if others or not isinstance(rule.get("when", {}), dict):
-            what = f"an unknown key {others[0]!r}" if others else "a 'when' that is no table"
+            what = f"an unknown key {others[0]!r}" if others else "a 'when' that is not a table"
             raise ArgumentError(f"row {number} has {what}; give when = {{ column = condition }} and action")
     return [(rule.get("when", {}), rule.get(ACTION, "")) for rule in rules]
 
@@ -118,7 +118,7 @@ def _rows(entries: Entries, known: Mapping[str, Hashable]) -> tuple[RuleRow, ...
     rows = []
     for number, (asked, action) in enumerate(entries, start=1):
         if not isinstance(action, str | int) or isinstance(action, bool) or action == "":
-            raise ArgumentError(f"row {number}: action is {action!r}; name one")
+            raise ArgumentError(f"row {number}: action is {action!r}; give one")
         conditions = [_condition(number, str(name), part) for name, text in asked.items() for part in _parts(text)]
         rows.append(RuleRow(tuple(conditions), known.get(str(action), action)))
     return tuple(rows)
@@ -138,7 +138,7 @@ def _condition(number: int, column: str, text: str) -> Condition:
     is_text = isinstance(value, str)
     if not written or (is_text and (sign not in ("", "=", "!=") or column == STAGE or written[0] in "<>=!")):
         raise ArgumentError(
-            f"row {number}: {column} is {text.strip()!r}, which is no condition; give a value, or one of "
+            f"row {number}: {column} is {text.strip()!r}, which is not a condition; give a value, or one of "
             f"{' '.join(COMPARISONS)} and a number"
         )
     return Condition(column, sign or "=", value, written)
@@ -212,7 +212,7 @@ def read_exploration(
     except ArgumentError as error:
         raise ArgumentError(f"{path}: {error}") from error
     except (OSError, ValueError, csv.Error) as error:
-        raise ArgumentError(f"{path}: it cannot be read as a table of what to try ({reason_of(error)})") from error
+        raise ArgumentError(f"{path}: it cannot be read as a table of actions to try ({reason_of(error)})") from error
 
 
 def _check(rows: Sequence[RuleRow], actions: Sequence[Any], columns: Sequence[str], texts: Collection[str]) -> None:
@@ -231,7 +231,7 @@ def _check_values(number: int, row: RuleRow, known: Collection[str], texts: Coll
     for one in (one for one in row.conditions if one.column in known):
         if one.text is None if one.column in texts else isinstance(one.value, str):
             holds = "text" if one.column in texts else "numbers"
-            raise ArgumentError(f"row {number}: {one.column} is {one.value!r}, and the policy knows {holds} of it")
+            raise ArgumentError(f"row {number}: {one.column} is {one.value!r}; give {holds}, as in the policy")
 
 
 def _share(number: int, text: str) -> float:
@@ -288,7 +288,7 @@ class FallBack:
         try:
             return self.rule.action(covariates, stage), self.rule_name
         except (HalfseenError, TypeError, ValueError) as error:
-            return usual, f"{self.says}, for {self.rule_name} fails: {error}"
+            return usual, f"{self.says}, as {self.rule_name} fails: {error}"
 
 
 def rule_of(stored: StoredPolicy, file: Path) -> RuleTable:
@@ -300,7 +300,7 @@ def rule_of(stored: StoredPolicy, file: Path) -> RuleTable:
         The policy is of tables, the file is no rule, or an action or the kind of a column is unknown to the policy.
     """
     if stored.is_table:
-        raise ArgumentError(f"{file}: the policy is of tables of objects, and rules are of named actions; leave it out")
+        raise ArgumentError(f"{file}: rules are for named actions, not for tables of objects; leave it out")
     policy = stored.policy
     rule = read_rule_table(file, stored.horizon, policy.actions)
     try:

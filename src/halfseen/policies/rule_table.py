@@ -79,29 +79,31 @@ class Condition:
         value = self.text if isinstance(given, str) else self.value
         if given is None or value is None or isinstance(given, str) != isinstance(value, str):
             raise ArgumentError(
-                f"the rule asks for {self.column} {self.sign} {self.value}, and {self.column} is {given}"
+                f"the rule asks for {self.column} {self.sign} {self.value}, but {self.column} is {given}"
             )
         return bool(COMPARISONS[self.sign](given, value))
 
     def _column(self, frame: pd.DataFrame) -> Any:
         if self.column in STAGE_COLUMNS:
             raise ArgumentError(
-                f"the rule asks for {self.column!r}, which no decision can rest on; ask for covariates, or the stage"
+                f"the rule asks for {self.column!r}, which is unknown when deciding; ask for covariates, or the stage"
             )
         if self.column not in frame.columns:
             known = ", ".join(str(name) for name in frame.columns if name == STAGE or name not in STAGE_COLUMNS)
-            raise ArgumentError(f"the rule asks for {self.column!r}, and the log has none; there are {known}")
+            raise ArgumentError(
+                f"the rule asks for {self.column!r}, but the log has no such column; give one of {known}"
+            )
         given: Any = frame[self.column]
         is_number = is_numeric_dtype(given.dtype)
         if isinstance(self.value, str) if is_number else self.text is None:
             condition = f"{self.column} {self.sign} {self.value}"
             raise ArgumentError(
-                f"the rule asks for {condition}, and {self.column} holds {'' if is_number else 'no '}numbers"
+                f"the rule asks for {condition}, but {self.column} holds {'' if is_number else 'no '}numbers"
             )
         if given.isna().any():
             row: Any = frame[given.isna()].iloc[0]
             where = ", ".join(f"{name} {row[name]}" for name in ("trajectory", STAGE) if name in frame.columns)
-            raise LogError(f"{where or 'a row'}: {self.column!r} is null, and the rule asks for it; fill it in")
+            raise LogError(f"{where or 'a row'}: {self.column!r} is null, but the rule asks for it; fill it in")
         return given if is_number else given.astype(str)
 
 
@@ -163,11 +165,11 @@ class RuleTable:
             raise ArgumentError("the rule has no rows; give at least one, with an action")
         if self.rows[-1].conditions:
             raise ArgumentError(
-                "the last row has conditions, so a state may match none; end with one that asks nothing"
+                "the last row has conditions, so a state may match no row; end with a row without conditions"
             )
         always = next(k for k, row in enumerate(self.rows, start=1) if not row.conditions)
         if always < len(self.rows):
-            raise ArgumentError(f"row {always} asks nothing, so those below it are never tried; put it last")
+            raise ArgumentError(f"row {always} has no conditions, so rows below it are never tried; put it last")
 
     @property
     def actions(self) -> tuple[Hashable, ...]:
@@ -245,5 +247,5 @@ class Rule:
         code = pd.Index(self.actions, dtype=object).get_indexer(taken)
         if (code < 0).any():
             listed = ", ".join(map(repr, self.actions))
-            raise ArgumentError(f"the rule took {taken[code < 0][0]!r}, which is none of its actions {listed}")
+            raise ArgumentError(f"the rule took {taken[code < 0][0]!r}, which is not one of its actions {listed}")
         return (code[:, None] == np.arange(len(self.actions))).astype(np.float64)

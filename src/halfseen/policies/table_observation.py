@@ -113,14 +113,12 @@ def see_table(
         A file cannot be read, or does not fit the policy.
     """
     if file.suffix in STATE_FILES:
-        raise PolicyError(f"{file}: the policy is of tables, and this is no point cloud; give .pcd, .ply or .npz")
+        raise PolicyError(f"{file}: the policy is of tables, but this is not a point cloud; give .pcd, .ply or .npz")
     cloud = read_cloud(file)
     view = perceive(cloud)
     if not view.objects:
-        cleared = "" if past is None else "; where it is cleared, the trajectory is over"
-        raise CloudError(
-            f"{file}: no objects on the table; put the table with its objects whole into the view{cleared}"
-        )
+        cleared = "" if past is None else "; if it is cleared, the trajectory is over"
+        raise CloudError(f"{file}: no objects on the table; bring the whole table with its objects into view{cleared}")
     seen_labels, others = labels_of(view, cloud, labels), other_things_in_words(view)
     scene = view.scene() if law is None else law.scene(view)
     now = _present(stored, view, scene, past, stage)
@@ -144,7 +142,7 @@ def _present(stored: StoredPolicy, view: View, scene: Scene, past: Past | None, 
         )
     if stage not in (None, now.stage):
         raise ArgumentError(
-            f"--stage is {stage}, but by {past.folder} the trajectory has come to stage {now.stage}; leave it out"
+            f"--stage is {stage}, but the trajectory in {past.folder} is at stage {now.stage}; leave --stage out"
         )
     return now
 
@@ -153,6 +151,6 @@ def _seen(before: Present, after: Present, said: str) -> str:
     """Say what labels showed, and their weight."""
     if not before.is_labelled:
         return f"{said}; {chances_in_words(after)}."
-    but = f", but for what is new to it: {', '.join(map(str, before.new))}" if before.new else ""
+    but = f", except for new objects: {', '.join(map(str, before.new))}" if before.new else ""
     kept = f"{said} are not counted again: the history holds what was seen at this stage{but}"
     return f"{kept}; {chances_in_words(after)}."

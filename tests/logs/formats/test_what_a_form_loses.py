@@ -167,7 +167,7 @@ def test_a_write_that_fails_leaves_nothing_and_what_is_there_is_never_replaced(t
     assert os.listdir(tmp_path) == []
     write(logs, tmp_path)
     before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
-    with pytest.raises(ArgumentError, match="it is there already"):
+    with pytest.raises(ArgumentError, match="it already exists"):
         write(logs.select([1]), tmp_path)
     assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == before
     assert os.environ["MINARI_DATASETS_PATH"] == str(tmp_path)

@@ -87,15 +87,15 @@ def read_files(folder: Path, kind: Kind = POLICY) -> tuple[bytes, bytes]:
         The folder or a file is missing or cannot be read, or a byte of a file has changed.
     """
     if not folder.is_dir():
-        raise PolicyError(f"{folder}: there is no such folder; {_remedy(folder, kind)}")
+        raise PolicyError(f"{folder}: no such folder; {_remedy(folder, kind)}")
     record, arrays, digests = (_read(folder / name, kind) for name in (kind.record, kind.arrays, kind.digests))
     if digests == _digests(record, arrays, kind):
         return record, arrays
     files = ((kind.record, record), (kind.arrays, arrays))
     changed = [name for name, data in files if _line(name, data) not in digests]
     raise PolicyError(
-        f"{folder / (changed or [kind.digests])[0]}: it is not as it was written (its SHA-256 does not agree with "
-        f"{kind.digests}); copy the whole folder again, or make it again by `{kind.maker}`"
+        f"{folder / (changed or [kind.digests])[0]}: it was changed after it was written (its SHA-256 does not agree "
+        f"with {kind.digests}); copy the whole folder again, or make it again with `{kind.maker}`"
     )
 
 
@@ -104,7 +104,7 @@ def _remedy(folder: Path, kind: Kind) -> str:
     aside = left_aside(folder)
     if aside is None:
         return f"give the folder that `{kind.maker}` wrote"
-    return f"replacing it was interrupted, and what was there is {aside}: rename it back"
+    return f"replacing it was interrupted, and the previous folder is {aside}: rename it back"
 
 
 def _digests(record: bytes, arrays: bytes, kind: Kind) -> bytes:
@@ -120,8 +120,8 @@ def _read(file: Path, kind: Kind) -> bytes:
         return read_bytes(file, NUMBERS)
     except FileNotFoundError as error:
         raise PolicyError(
-            f"{file}: it is missing, so {file.parent} is no whole {kind.name}; copy the whole folder again, or make it "
-            f"again by `{kind.maker}`"
+            f"{file}: it is missing, so {file.parent} is not a complete {kind.name}; copy the whole folder again, or "
+            f"make it again with `{kind.maker}`"
         ) from error
     except OSError as error:
         raise PolicyError(f"{file}: it cannot be read ({error.strerror}); copy the whole folder again") from error

@@ -123,7 +123,7 @@ def sizes_of(arrays: Arrays, name: str, ndim: int) -> tuple[int, ...]:
     array = arrays.get(name)
     if array is None or array.ndim != ndim:
         what = "missing" if array is None else f"of shape {list(array.shape)}"
-        raise PolicyError(f"array {name!r} is {what}; it has {ndim} axes: learn the policy again")
+        raise PolicyError(f"array {name!r} is {what}; it must have {ndim} axes: learn the policy again")
     return array.shape
 
 
@@ -137,12 +137,12 @@ def check_shapes(arrays: Arrays, wanted: Mapping[str, tuple[int, ...]], dtype: t
     """
     for name in sorted({*wanted, *arrays}):
         if name not in arrays or name not in wanted:
-            trouble = "none that a policy has" if name in arrays else "missing"
+            trouble = "unknown" if name in arrays else "missing"
             raise PolicyError(f"array {name!r} is {trouble}; learn the policy again")
         array = arrays[name]
         if array.shape != wanted[name] or array.dtype != dtype:
             raise PolicyError(
-                f"array {name!r} is {array.dtype} of shape {list(array.shape)}, where the schema asks for "
+                f"array {name!r} is {array.dtype} of shape {list(array.shape)}, but the schema needs "
                 f"{np.dtype(dtype)} of shape {list(wanted[name])}; learn the policy again"
             )
         _check_numbers(name, array)
@@ -150,12 +150,12 @@ def check_shapes(arrays: Arrays, wanted: Mapping[str, tuple[int, ...]], dtype: t
 
 def _check_numbers(name: str, array: np.ndarray) -> None:
     if name.endswith(GRASP):
-        wrong, rule = ~((array >= 0) & (array <= 1)), "a probability lies in [0, 1]"
+        wrong, rule = ~((array >= 0) & (array <= 1)), "a probability must lie in [0, 1]"
     elif name in ("kernel.scale", "kernel.gamma"):
         # A feature that never varied has an infinite scale.
-        wrong, rule = ~(array > 0) | (np.isinf(array) & (name == "kernel.gamma")), "it is positive"
+        wrong, rule = ~(array > 0) | (np.isinf(array) & (name == "kernel.gamma")), "it must be positive"
     else:
-        wrong, rule = ~(np.abs(array) <= LARGEST), f"it is finite, and {LARGEST:g} at most"
+        wrong, rule = ~(np.abs(array) <= LARGEST), f"it must be finite and at most {LARGEST:g}"
     if wrong.any():
         at = tuple(np.argwhere(wrong)[0].tolist())
         raise PolicyError(f"array {name!r} holds {array[at]} at {list(at)}; {rule}: learn the policy again")
@@ -174,13 +174,13 @@ class DiscreteSchema(Struct):
 
     def __post_init__(self) -> None:
         if not {*self.categories} <= {*self.covariates}:
-            raise ValueError(f"categories are of {', '.join(self.categories)}; each is of a covariate")
+            raise ValueError(f"categories are of {', '.join(self.categories)}; each must be of a covariate")
         for name, each in {"actions": self.actions, "covariates": self.covariates, **self.categories}.items():
             if len(set(each)) < len(each):
-                raise ValueError(f"{name} is {each}; each has a name of its own")
+                raise ValueError(f"{name} is {each}; names must differ")
         if len(self.possible) != self.horizon or not all({*each} <= {*self.actions} for each in self.possible):
             raise ValueError(
-                f"possible is {self.possible}; it lists some of the actions for each of the {self.horizon} stages"
+                f"possible is {self.possible}; it must list some of the actions for each of the {self.horizon} stages"
             )
 
 

@@ -90,11 +90,11 @@ class LawsSchema(Struct):
 
     def __post_init__(self) -> None:
         if self.basis not in _BASES:
-            raise ValueError(f"basis is {self.basis!r}; it is {' or '.join(_BASES)}")
+            raise ValueError(f"basis is {self.basis!r}; it must be {' or '.join(_BASES)}")
         if not {*self.seen} <= {*VERBS}:
-            raise ValueError(f"seen is {self.seen}; it lists verbs, {', '.join(VERBS)}")
+            raise ValueError(f"seen is {self.seen}; it must list verbs of {', '.join(VERBS)}")
         if self.horizon != self.laws.horizon:
-            raise ValueError(f"horizon is {self.horizon}, and {self.laws.horizon} in the laws")
+            raise ValueError(f"horizon is {self.horizon}, but {self.laws.horizon} in the laws")
 
 
 class Bounds(Struct):
@@ -192,7 +192,7 @@ def _mending_of(arrays: Any, config: WorldConfig) -> Mending | None:
         return None
     recorded, mended = (arrays[f"mending.{name}"] for name in _MENDING)
     if (np.diff(recorded) <= 0.0).any() or (np.diff(mended) < 0.0).any():
-        raise PolicyError("mending.recorded and mending.mended rise; learn the policy again")
+        raise PolicyError("mending.recorded and mending.mended must rise; learn the policy again")
     prior = np.log(config.dirty_share) - np.log1p(-config.dirty_share)
     law = config.seeing if isinstance(config.seeing, PersistentSeeing) else None
     return Mending(recorded, mended, float(prior), law)
@@ -222,7 +222,7 @@ def _team_laws_policy(record: Mapping[str, Any], arrays: Arrays) -> AssistedTeam
     config, bounds = _world_of(schema.laws), schema.excess
     if (schema.num_robots, schema.horizon) != (config.num_robots, config.num_stages):
         raise PolicyError(
-            f"num_robots is {schema.num_robots}, and horizon {schema.horizon}; the laws are of "
+            f"num_robots is {schema.num_robots} and horizon {schema.horizon}, but the laws are for "
             f"{config.num_robots} robots and {config.num_stages} decisions of all together: learn the policy again"
         )
     check_shapes(arrays, {} if bounds is None else {"excess.coefficients": (NUM_TEAM_EXCESS_FEATURES,)}, np.float32)

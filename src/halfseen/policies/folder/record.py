@@ -43,7 +43,7 @@ class Seen(Struct):
         for name, seen in {"stages": self.stages, **self.ranges}.items():
             if min(seen.values(), default=0) < 1 if isinstance(seen, dict) else seen[0] > seen[1]:
                 shown = seen if isinstance(seen, dict) else list(seen)
-                raise ValueError(f"{name} is {shown}; it counts no state, or ends before it begins")
+                raise ValueError(f"{name} is {shown}; a count is below 1, or it ends before it begins")
 
 
 class Verdict(Struct):
@@ -65,7 +65,7 @@ class Distribution(Struct):
     def __post_init__(self) -> None:
         places, shares = (self.names, self.shares) if self.values is None else (self.values, self.below)
         if not places or len(places) != len(shares) or (np.diff(self.values or []) <= 0.0).any():
-            raise ValueError("it has no share for each of its names, or of its values, which rise")
+            raise ValueError("it needs a share for each of its names, or of its values, which must rise")
 
 
 class PromisedStage(Struct):
@@ -86,7 +86,7 @@ class PromisedValue(Struct):
 
     def __post_init__(self) -> None:
         if not np.isfinite(astuple(self)).all():
-            raise ValueError(f"it holds {astuple(self)}, and numbers are finite")
+            raise ValueError(f"it holds {astuple(self)}; numbers must be finite")
 
 
 class PromisedPart(Struct):
@@ -102,7 +102,7 @@ class PromisedPart(Struct):
 
     def __post_init__(self) -> None:
         if np.shape(self.covariance) != (len(self.coefficients),) * 2:
-            raise ValueError("its covariance is not that of its coefficients")
+            raise ValueError("its covariance does not have the size of its coefficients")
 
 
 class Unmoved(Struct):
@@ -129,7 +129,7 @@ class Promise(Struct):
         if len({len(each) for each in self.first_states}) > 1:
             raise ValueError("its first_states have different numbers of covariates")
         if self.brings is not None and not self.brings[0] <= self.brings[1]:
-            raise ValueError(f"brings is {list(self.brings)}; the least comes first")
+            raise ValueError(f"brings is {list(self.brings)}; the least must come first")
 
 
 class Record(Struct):
@@ -181,9 +181,9 @@ def from_json(data: bytes) -> dict[str, Any]:
     try:
         record = json_of(data)
     except ValueError as error:
-        raise PolicyError(f"it is no JSON ({error}); learn the policy again") from error
+        raise PolicyError(f"it is not JSON ({error}); learn the policy again") from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
-        raise PolicyError("it describes no policy; give a folder that `halfseen learn` wrote")
+        raise PolicyError("it does not describe a policy; give a folder that `halfseen learn` wrote")
     if record.get("version") != VERSION:
         raise PolicyError(
             f"version {record.get('version')!r} is not the {VERSION} that halfseen {halfseen.__version__} reads; use "
@@ -226,7 +226,7 @@ def _refusal(values: Any, error: str, names: Mapping[str, Collection[str]]) -> s
     name = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".")
     known = next((names[str(key)] for key in reversed(keys) if str(key) in names), None)
     if known is not None and what.startswith(("Invalid enum", "Invalid value")):
-        return f"{name} is {repr(values)[:80]}; it is one of {', '.join(known)}"
+        return f"{name} is {repr(values)[:80]}; it must be one of {', '.join(known)}"
     if name and what.startswith(("Expected ", "Invalid ", "Object ", "Number ")):
         name = f"{name} is {repr(values)[:80]}"
     return f"{name}: {what}" if name else what

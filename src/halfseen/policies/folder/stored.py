@@ -27,8 +27,8 @@ else:
 TABLE_RANGES = ("num_objects", "occlusion", "log_odds", "num_attempts")
 """Ranges of a table: the number of objects; and for each object, occlusion, log-odds of DIRTY and past attempts."""
 UNDECIDED = (
-    "which looks at what each robot is at, and that is not given here; ask read_policy(FOLDER).policy.decide of a "
-    "halfseen.world.TableState"
+    "and needs to know what each robot is doing, which is not given here; call read_policy(FOLDER).policy.decide with "
+    "a halfseen.world.TableState"
 )
 """End of a refusal to decide: the reason, and what to do instead."""
 
@@ -69,7 +69,7 @@ class StoredPolicy:
         """The robots that it decides for, in words."""
         if self.num_robots is not None:
             return f"a team of {self.num_robots} robot{'' if self.num_robots == 1 else 's'}"
-        return "one robot by itself" if self.is_table else "no table"
+        return "a single robot" if self.is_table else "named actions"
 
     @property
     def horizon(self) -> int:
@@ -174,7 +174,9 @@ def read_policy(folder: str | Path) -> StoredPolicy:
     try:
         arrays = safetensors.numpy.load(numbers)
     except (safetensors.SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise PolicyError(f"{folder / ARRAYS}: it is no safetensors file ({error}); learn the policy again") from error
+        raise PolicyError(
+            f"{folder / ARRAYS}: it is not a safetensors file ({error}); learn the policy again"
+        ) from error
     with within(folder):
         return StoredPolicy(policy_of(record, laid_out(arrays, record["column_major"])), record)
 
@@ -230,13 +232,13 @@ def refuse_log_of_team(stored: StoredPolicy, logs: Logs) -> None:
 
     if stored.num_robots is not None and not robots_in(logs):
         raise PolicyError(
-            f"the log is of one robot, and the policy decides for a team of {stored.num_robots}; give a log of such a "
+            f"the log is of one robot, but the policy decides for a team of {stored.num_robots}; give a log of such a "
             "team"
         )
     if stored.is_table and robots_in(logs):
         raise PolicyError(
-            f"the log is of a team of {robots_in(logs)}, and the policy decides for one robot; take the part of one, "
-            "halfseen.tables.agent_view(logs, robot)"
+            f"the log is of a team of {robots_in(logs)}, but the policy decides for one robot; give the view of one "
+            "robot, halfseen.tables.agent_view(logs, robot)"
         )
 
 

@@ -52,7 +52,7 @@ class LinearSchema(Struct):
         if self.seen is not UNSET and (
             len(self.seen) != self.horizon or not all({*row} <= {*self.actions} for row in self.seen)
         ):
-            raise ValueError(f"seen is {self.seen}; it lists verbs for each number of steps to go")
+            raise ValueError(f"seen is {self.seen}; it must list verbs for each number of steps to go")
 
 
 class TeamSchema(LinearSchema, kw_only=True):
@@ -65,11 +65,11 @@ class TeamSchema(LinearSchema, kw_only=True):
         super().__post_init__()
         if self.num_robots < 1 or self.horizon % self.num_robots:
             raise ValueError(
-                f"num_robots is {self.num_robots}, and horizon {self.horizon}; a team has at least 1 robot, and each "
-                "as many decisions"
+                f"num_robots is {self.num_robots}, and horizon {self.horizon}; a team needs at least 1 robot, and the "
+                "same number of decisions for each"
             )
         if len(self.alone) not in (0, self.num_robots):
-            raise ValueError(f"{ALONE} is {self.alone!r}; it tells of each of {self.num_robots} robots")
+            raise ValueError(f"{ALONE} is {self.alone!r}; it must describe each of {self.num_robots} robots")
 
 
 class PriorSchema(Struct):
@@ -90,7 +90,7 @@ def check_features(schema: Mapping[str, Any], features: Mapping[str, Any], verbs
     """
     if schema.get("features") != features or schema.get("actions") != verbs:
         raise PolicyError(
-            f"the policy looks at features {schema.get('features')}, and this halfseen knows {features}; use the "
+            f"the policy looks at features {schema.get('features')}, but this halfseen knows {features}; use the "
             f"halfseen that wrote it ({versions.get('halfseen')}), or learn the policy again"
         )
 
@@ -216,7 +216,7 @@ def _each_alone(base: Policy | None) -> tuple[Any, ...]:
 
 def _team_schema(policy: LinearTeamPolicy) -> dict[str, Any]:
     if policy.num_robots is None:
-        raise ArgumentError("num_robots is None; learn with CensoredQLearner.for_team, which is told the number")
+        raise ArgumentError("num_robots is None; learn with CensoredQLearner.for_team, which sets it")
     schema = _TEAM.schema_of(policy)
     first = {"horizon": schema["horizon"], "num_robots": policy.num_robots, "actions": TEAM_VERBS}
     alone = [_TABLE.schema_of(each) for each in _each_alone(policy.base)]
@@ -245,7 +245,7 @@ def _team_policy(record: Mapping[str, Any], arrays: Arrays) -> LinearTeamPolicy:
     own = {name: array for name, array in arrays.items() if not name.startswith(f"{ALONE}.")}
     caution = own.pop(CAUTION, np.float32(0.0))
     if caution.shape != () or not 0.0 <= caution <= LARGEST:
-        raise PolicyError(f"caution is {caution.tolist()}; it is one number, 0 or above: learn the policy again")
+        raise PolicyError(f"caution is {caution.tolist()}; it must be one number, 0 or above: learn the policy again")
     base = IndependentPolicies(tuple(each)) if each else None
     return _TEAM.policy_of(schema, versions, own, num_robots=known.num_robots, base=base, caution=caution)
 
