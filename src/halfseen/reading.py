@@ -288,7 +288,7 @@ def _parsed(parse: Callable[[], Any]) -> Any:
 def _whole(digits: str) -> int:
     number = int(digits) if len(digits) <= 20 else 2**64
     if not -(2**63) <= number < 2**64:
-        raise ValueError(f"{digits[:24]}… is no whole number of 64 bits")
+        raise ValueError(f"{digits[:24]}… is not a 64-bit whole number")
     return number
 
 
@@ -298,7 +298,7 @@ def _number(digits: str) -> float:
 
 
 def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number of JSON")
+    raise ValueError(f"{name} is not a JSON number")
 
 
 def _most(most_bytes: int) -> int:

@@ -237,15 +237,20 @@ def test_a_state_may_lack_what_is_looked_at_and_nothing_else_is_added():
         (MEDIAN, {"x": [None] * 5}, LogError, "^covariate x is null in every one of the 5 stages"),
         (LAST, {"colour": [None] * 5}, LogError, "^covariate colour is null in every"),
         (MEDIAN, {"x": [1.0, np.inf, None, 2.0, 3.0]}, LogError, "covariate x is inf; give the number"),
-        ("mean", {}, ArgumentError, "^missing is 'mean'; it is one of median.flag, last, refuse"),
+        ("mean", {}, ArgumentError, "^missing is 'mean'; choose among median.flag, last, refuse"),
         ({"x": "lst"}, {}, ArgumentError, "^missing of 'x' is 'lst'.* did you mean 'last'"),
         (MEDIAN, {"x": [np.inf, np.inf, None, np.inf, 3.0]}, LogError, "covariate x is inf; give the number"),
         (MEDIAN, {"x": [1.7e308, 1.7e308, None, None, None], "n": [1, None, np.inf, 1, 1]}, LogError, "n is inf; give"),
         ({"colr": LAST}, {}, ArgumentError, "^missing names 'colr'; .* did you mean 'colour'"),
-        (MEDIAN, {"x_missing": [0, 1, 2, 0, 0]}, LogError, "^covariate x_missing is there, and not 0 or 1"),
+        (MEDIAN, {"x_missing": [0, 1, 2, 0, 0]}, LogError, "^covariate x_missing has values other than 0 and 1"),
         ({"lists": LAST}, {"lists": [[1.0]] * 5}, LogError, "^covariate lists holds neither numbers nor text"),
         (MEDIAN, {"lists": [[1.0], None, [1.0], [1.0], [1.0]]}, LogError, "covariate lists is null, as in 1 of 5"),
-        (Filling({"x": Fill(MEDIAN, "missing", 1)}, 5), {}, LogError, "^covariate x holds number, and a text is to"),
+        (
+            Filling({"x": Fill(MEDIAN, "missing", 1)}, 5),
+            {},
+            LogError,
+            "^covariate x holds number, but missing values are filled with a text",
+        ),
     ],
 )
 def test_what_cannot_be_filled_in_is_refused_in_one_line(missing, columns, kind, told):

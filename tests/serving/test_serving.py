@@ -64,7 +64,7 @@ def test_it_says_what_act_says(asked, flat, tmp_path):
     [
         (b"{", 400, "no JSON"),
         (b"[" * 100_000, 400, "no JSON"),
-        (b'{"x1": NaN, "x2": 1}', 400, "NaN is no number of JSON"),
+        (b'{"x1": NaN, "x2": 1}', 400, "NaN is not a JSON number"),
         (b"\xff", 400, "no JSON"),
         (b"[1]", 422, "JSON list; send one object"),
         (b"{}", 422, "there is no 'x1' among nothing"),
@@ -72,8 +72,8 @@ def test_it_says_what_act_says(asked, flat, tmp_path):
         (b'{"x1": null, "x2": 1}', 422, "covariate 'x1'"),
         (b'{"x1": "red", "x2": 1}', 422, "'x1' is not numeric"),
         (b'{"x1": [1], "x2": {"a": 2}}', 422, "'x1' is not numeric"),
-        (b'{"x1": 1e999, "x2": 1}', 400, "1e999 is no number of JSON"),
-        (b'{"x1": 1' + b"0" * 400 + b', "x2": 1}', 400, "is no whole number of 64 bits"),
+        (b'{"x1": 1e999, "x2": 1}', 400, "1e999 is not a JSON number"),
+        (b'{"x1": 1' + b"0" * 400 + b', "x2": 1}', 400, "is not a 64-bit whole number"),
         (b'{"x1": 0, "x2": 1, "stage": 0}', 422, "stage is 0; it is a whole number from 1"),
         (b'{"x1": 0, "x2": 1, "stage": true}', 422, "stage is True"),
         (b'{"x1": 0, "x2": 1, "stage": "1"}', 422, "stage is 1"),
@@ -312,8 +312,8 @@ def test_a_field_that_a_model_does_not_take_is_named_with_its_value_and_the_reme
             ("/end", {"ending": "cut"}, 'the request: give {"ending": "finished"}, or {"ending": "cut", "cause": '),
             ("/end", {"ending": "x` - at `$.y`"}, "the request: ending is 'x` - at `$.y`'; give the word"),
             ("/end", {"x` - at `$.y": 1}, "the request: nothing is known of 'x` - at `$.y'; give ending, cause, elap"),
-            ("/end", {"ending": "\ud800"}, "the request: '\\ud800' is no Unicode text; decode it"),
-            ("/end", {"ending": "cut", "\ud800": 1}, "the request: '\\ud800' is no Unicode text; decode it"),
+            ("/end", {"ending": "\ud800"}, "the request: '\\ud800' is not Unicode text; decode it"),
+            ("/end", {"ending": "cut", "\ud800": 1}, "the request: '\\ud800' is not Unicode text; decode it"),
         ):
             body = json.dumps(given)
             answer = client.post(address, content=body, headers={"content-type": "application/json"})

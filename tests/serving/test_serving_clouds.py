@@ -254,7 +254,7 @@ def test_names_and_columns_that_a_folder_has_not_are_refused(recorded, shows, tm
     other = [{**objects[0], "object": "cup"}]
     assert "no longer lists it" in refused(recorded.post("/decide", json={"objects": other}), 422)
     recorded.post("/end", json={"ending": "cut", "cause": "operator"})
-    assert "object 0 is a number, those before are text" in refused(post(recorded, shows(*CANS)), 422)
+    assert "object 0 is a number, but earlier ones are text" in refused(post(recorded, shows(*CANS)), 422)
     assert recorded.get("/health").json()["recording"]["trajectory"] is None
     assert recorded.post("/decide", json={"objects": objects}).json()["trajectory"] == 2
     assert read_logs(tmp_path / "logs").num_trajectories == 2
