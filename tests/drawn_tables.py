@@ -67,14 +67,14 @@ def hit_can(can: Can, origin: np.ndarray, way: np.ndarray) -> np.ndarray:
     return np.where(met & (t < first), t, first)
 
 
-def hit_room(origin: np.ndarray, way: np.ndarray, is_bare: bool) -> np.ndarray:
+def hit_room(origin: np.ndarray, way: np.ndarray, is_bare: bool, wall_m: float) -> np.ndarray:
     """Distance to the table, and unless bare to the floor below and the wall behind."""
     t = -origin[..., 2] / way[..., 2]
     across = origin[..., :2] + t[..., None] * way[..., :2]
     first = np.where((t > 0) & (np.abs(across) <= TABLE_HALF_M).all(-1), t, np.inf)
     if is_bare:
         return first
-    floor, wall = (-0.72 - origin[..., 2]) / way[..., 2], (1.4 - origin[..., 1]) / way[..., 1]
+    floor, wall = (-0.72 - origin[..., 2]) / way[..., 2], (wall_m - origin[..., 1]) / way[..., 1]
     for t in (floor, wall):
         first = np.where((t > 0) & (t < first), t, first)
     return first
@@ -87,11 +87,12 @@ def draw(
     noise_m: float = 0.0,
     seed: int = 0,
     name: str = "drawn",
+    wall_m: float = 1.4,
 ) -> Drawn:
     way = rays()
     origin = np.broadcast_to(EYE_M, way.shape)
     alone = np.stack([hit_can(can, origin, way) for can in cans]) if cans else np.zeros((0, *way.shape[:2]))
-    stacked = np.concatenate([hit_room(origin, way, is_bare)[None], alone])
+    stacked = np.concatenate([hit_room(origin, way, is_bare, wall_m)[None], alone])
     depth, labels = stacked.min(axis=0), stacked.argmin(axis=0) - 1
     silhouettes = np.isfinite(alone)
     seen = np.array([(labels == i).sum() for i in range(len(cans))])

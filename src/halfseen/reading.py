@@ -113,16 +113,27 @@ def read_text(path: Path, most_bytes: int = WORDS) -> str:
 
 
 def json_of(text: str | bytes) -> Any:
-    """Read JSON with finite numbers of at most 64 bits, nested no deeper than `MOST_LEVELS`.
+    """Read JSON with finite numbers of at most 64 bits and each name once, nested no deeper than `MOST_LEVELS`.
 
     Raises
     ------
     ValueError
         The text is not such JSON.
     """
-    read = _parsed(lambda: json.loads(text, parse_constant=_refuse_constant, parse_int=_whole, parse_float=_number))
+    numbers: Any = {"parse_constant": _refuse_constant, "parse_int": _whole, "parse_float": _number}
+    read = _parsed(lambda: json.loads(text, object_pairs_hook=named_once, **numbers))
     check_levels(read)
     return read
+
+
+def named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Build an object of JSON; raises ValueError if it has a name twice, of which `json` would drop one silently."""
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"{twice[:40]!r} is given twice in an object")
+    return values
 
 
 def toml_of(text: str) -> dict[str, Any]:

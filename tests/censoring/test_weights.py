@@ -158,7 +158,20 @@ BOTH = [True, True]
                 ([[1.0], [2.5]], "trajectory 1, stage 1: elapsed_s 2.5"),
                 ([[1.0]], "elapsed_s has 1 rows and end_s has 2"),
                 ([1.0, 2.0], r"elapsed_s has shape \(2,\)"),
+                (np.ma.masked_array([[1.0], [1.0]], [[False], [True]]), "elapsed_s, row 1: masked"),
             )
+        ),
+        (
+            lambda: KaplanMeier().fit([1.0], [True]).survival(np.array([1], "timedelta64[s]")),
+            ArgumentError,
+            "u holds timedelta64",
+        ),
+        (
+            lambda: censoring_weights(
+                [1.0, 2.0], BOTH, "cox", covariates=np.ma.masked_array([[1.0], [2.0]], [[0], [1]])
+            ),
+            ArgumentError,
+            "covariates, row 1: masked",
         ),
         *(
             (lambda ends=ends: KaplanMeier().fit(*ends), ArgumentError, message)
@@ -171,6 +184,11 @@ BOTH = [True, True]
                 (([1.0, 2.0], [1, 2]), "is_finished, row 1: 2 is neither"),
                 (([1.0, 2.0], [True, None]), "is_finished, row 1: None is neither"),
                 (([1.0, 2.0], ["finished", "cut"]), "is_finished, row 0: 'finished' is neither"),
+                ((np.ma.masked_array([1.0, 2.0], [False, True]), BOTH), "time, row 1: masked; fill it in"),
+                (([1.0, 2.0], np.ma.masked_array(BOTH, [False, True])), "is_finished, row 1: masked"),
+                ((np.array([1, 2], "timedelta64[s]"), BOTH), r"time holds timedelta64\[s\], not real numbers; convert"),
+                ((pd.to_datetime([1.0, 2.0], unit="s"), BOTH), "time holds datetime64"),
+                ((np.array([1.0, 2.0j]), BOTH), "time holds complex128, not real numbers"),
             )
         ),
     ],

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 import shell
 
-from drawn_tables import boxes_cloud
+from drawn_tables import Can, boxes_cloud, draw
 from halfseen.cell.calibration.law import read_law, shipped_law
 from halfseen.learning import CensoredQLearner
 from halfseen.perception import perceive, read_cloud, write_pcd
@@ -151,6 +151,16 @@ def test_a_table_of_other_things_is_told_of_first(tables, tmp_path):
     assert lines[1].split()[0] in ("WASH", "LIFT", "FINISH")
     assert f"warning: {report_of(tables, tmp_path / 'boxes.pcd')['warnings'][0]}" == lines[0]
     assert "table of cups" not in run(tables, TABLE)
+
+
+def test_a_decision_tells_what_is_left_out_and_hides(tables, tmp_path):
+    write_pcd(draw(Can(-0.40, 0.02), Can(-0.43, -0.08, 0.06, 0.14), Can(0.1, 0.0)).cloud, tmp_path / "cut.pcd")
+    hidden = [seen.id for seen in perceive(read_cloud(tmp_path / "cut.pcd")).objects if seen.occlusion > 0.1]
+    told = (
+        f"left out: 1 that the image border cuts; what is cut by the image border or beside the table hides {hidden[0]}"
+    )
+    assert f"{told}, which counts as in view" in report_of(tables, tmp_path / "cut.pcd")["warnings"]
+    assert "left out" not in run(tables, TABLE)
 
 
 @pytest.fixture(scope="module")

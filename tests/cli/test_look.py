@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import shell
 
-from drawn_tables import TWO_CARDS, K, depth_of_cards
+from drawn_tables import TWO_CARDS, Can, K, depth_of_cards, draw
 from few_cups import draw_small_tables
 from halfseen.logs import read_logs
 from halfseen.perception import Cloud, StainCounter, perceive, read_cloud, write_pcd
@@ -41,6 +41,17 @@ def test_the_first_line_is_a_plain_sentence_and_the_table_is_aligned(table):
     assert len(lines) == 5
     end = lines[2].index("height [m]") + len("height [m]")
     assert [line[end - 5 : end - 2] for line in lines[3:]] == ["0.1", "0.1"]
+
+
+def test_what_is_cut_is_named_where_it_hides_an_object(tmp_path):
+    drawn = draw(Can(-0.40, 0.02), Can(-0.43, -0.08, 0.06, 0.14))
+    write_pcd(drawn.cloud, tmp_path / "cut.pcd")
+    first, second, *_, row = run(tmp_path / "cut.pcd").output.splitlines()
+    assert first.startswith("1 object on the table; object 0 is hidden most, by something cut by the image border or ")
+    assert second == "Left out: 1 that the image border cuts."
+    share = float(row.split()[7])
+    assert share == pytest.approx(drawn.occlusion[0], abs=0.04)
+    assert row.endswith(f"{share:.2f}  other ({share:.2f})")
 
 
 def test_json_has_exactly_the_promised_keys(table):
@@ -80,6 +91,8 @@ def test_colour_tells_what_looks_dirty_and_labels_of_a_file_stand_before_it(stai
     for seen in told:
         assert list(seen)[-3:] == ["label", "share_in_view", "p_dirty"]
         assert seen["share_in_view"] == pytest.approx(0.3 * (1 - seen["occlusion"]))
+    both = json.loads(run(stained, table, "--json", "--workers", 1).output)
+    assert [each["objects"] for each in both] == [told, objects_of(table)]
     # All but the labels is as without colour.
     plain = run(table).output.splitlines()
     assert [line[: len(plain[2])].rstrip() for line in lines[2:]] == plain[2:]

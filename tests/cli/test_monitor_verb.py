@@ -72,6 +72,18 @@ def test_an_alarm_is_status_3_and_named_first(folders):
     assert "Where to look first:" in result.output
 
 
+@pytest.mark.parametrize("how", [(), ("--follow",)])
+def test_a_log_that_another_policy_made_is_status_2_as_nothing_watches_this_one(folders, tmp_path, how):
+    logs, policy = clinic(1), read_policy(folders / "policy").policy
+    is_b = policy.decide(logs.stages, 1) == "A"
+    reward = 2.0 * ((logs.stages["x"] > 0.5) == is_b) + np.random.default_rng(0).normal(size=len(is_b))
+    done = {"action": np.where(is_b, "B", "A"), "reward": reward.where(logs.stages["reward"].notna())}
+    Logs(logs.stages.assign(**done), logs.trajectories).write(tmp_path / "other")
+    result = told(folders / "policy", "--logs", tmp_path / "other", *how)
+    assert result.exit_code == 2
+    assert result.output.startswith("Only 0% of the actions are the policy's: this log is not of its service")
+
+
 def test_after_mending_it_watches_anew(folders, tmp_path):
     broken, mended = read_logs(folders / "moved"), read_logs(folders / "next")
     later = [table.assign(trajectory=table["trajectory"] + 300) for table in (mended.stages, mended.trajectories)]

@@ -69,6 +69,7 @@ def test_it_says_how_many_trajectories_would_do(trajectories_for_one, said):
         (0.1, 0.3, "more a trajectory than the logging policy, between 0.1 and 0.3 parts more"),
         (-0.3, -0.1, "less a trajectory than the logging policy, between 0.1 and 0.3 parts less"),
         (-0.3, 0.0, "less a trajectory than the logging policy, between 0 and 0.3 parts less"),
+        (0.0, 0.0, "earns as much a trajectory as the logging policy, between 0 and 0 parts less"),
     ],
 )
 def test_ends_of_the_interval_are_told_as_more_and_less_without_a_sign(low, high, words):

@@ -275,7 +275,8 @@ def test_shares_have_a_largest():
 def test_no_other_shares_of_as_many_tries_leave_less_variance():
     rng = np.random.default_rng(0)
     leaves = [
-        _Leaf(("x",), {}, 1, np.arange(100), (rng.random(100) < p).astype(int), rng.random(100)) for p in (0.1, 0.3)
+        _Leaf(("x",), {}, 1, np.arange(100), (rng.random(100) < p).astype(int), rng.random(100), np.zeros((100, 1)))
+        for p in (0.1, 0.3)
     ]
     shares = np.array(_allotted(leaves))
     tries = sum(leaf.tries for leaf in leaves)
@@ -297,6 +298,21 @@ def test_regions_hold_states_in_which_the_policy_departs_from_the_log():
         assert 0.0 < region.now < LARGEST_SHARE
         assert set(region.conditions) <= {"stage", "x"}
     assert list(found.regions) == sorted(found.regions, key=lambda region: -region.part)
+
+
+@pytest.mark.parametrize(
+    ("values", "limits", "written"),
+    [
+        ([0.0, 1.0, 2.0], (0.5, 1.5), "> 0.5 and <= 1.5"),
+        # A position far from zero: 1e+04 would hold none below it.
+        ([10000.1, 10000.4, 10000.6], (-np.inf, 10000.5), "<= 10000.5"),
+        ([1767225600.0, 1767225601.0], (1767225600.5, np.inf), "> 1.7672256e+09"),
+    ],
+)
+def test_limits_are_written_with_the_digits_that_they_need(values, limits, written):
+    nothing = np.zeros(0, dtype=int)
+    leaf = _Leaf(("x",), {0: limits}, 0, nothing, nothing, np.zeros(0), np.array(values)[:, None])
+    assert leaf.conditions == {"x": written}
 
 
 def test_a_policy_that_does_as_the_log_does_has_nothing_to_try():

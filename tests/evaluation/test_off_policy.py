@@ -1,15 +1,17 @@
 """Each estimator against a loop, an enumeration, and a model that is wrong on purpose."""
 
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+import pandas as pd
 import pytest
 from enumerated_trial import CHANCE_B, StatePolicy, specified, trial, truth
 
 from halfseen.censoring import KaplanMeier
 from halfseen.errors import ArgumentError, LogError
-from halfseen.evaluation import FixedSequence, QSpec, evaluate
-from halfseen.learning import DoublyRobust, NamedActions, Unweighted
+from halfseen.evaluation import FixedSequence, QSpec, evaluate, held_out_verdict
+from halfseen.learning import CensoredQLearner, DoublyRobust, NamedActions, Unweighted
 from halfseen.logs import Logs
 
 TARGET = StatePolicy((0.1, 0.8))
@@ -178,9 +180,90 @@ def test_where_a_log_never_explored_q_alone_makes_nothing_better():
     assert "something else" not in found_of(StatePolicy((0.0, 1.0)), logs).reason
 
 
+def by_threshold(seed, num_trajectories, exploring):
+    """One stage without probabilities: A above a threshold, where it pays, and B below, but for a share."""
+    rng = np.random.default_rng(seed)
+    x, rows = rng.normal(size=num_trajectories), np.arange(num_trajectories)
+    takes_a = (x > 0) != (rng.random(num_trajectories) < exploring)
+    reward = np.where(takes_a, np.where(x > 0, 2.0 - x, -3.0), 0.5) + 0.3 * rng.normal(size=num_trajectories)
+    action, end_s = np.where(takes_a, "A", "B"), 1.0 + rng.random(num_trajectories)
+    stages = {"trajectory": rows, "stage": 1, "action": action, "x": x, "elapsed_s": end_s, "reward": reward}
+    return Logs(pd.DataFrame(stages), pd.DataFrame({"trajectory": rows, "end_s": end_s, "ending": "finished"}))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_an_unlogged_rule_that_never_explores_makes_nothing_better(seed):
+    # Above the threshold A pays more the lower x is, and a line through that is far off below, where A was not tried.
+    logs = by_threshold(seed, 400, exploring=0.0)
+    found = evaluate(FixedSequence(("A",)), logs, propensity="estimated", against="logging")
+    assert found.fitted_q.low > found.logging.high
+    assert found.verdict == "inconclusive"
+    assert (
+        "of the stages the policy does something else where the log took its action with probability 1" in found.reason
+    )
+    learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x"]).fit(logs)
+    assert set(learner.decide(pd.DataFrame({"x": [-1.0, -0.5]}), 1)) == {"A"}
+    assert held_out_verdict(learner, logs).verdict == "inconclusive"
+
+
+def test_an_unlogged_rule_that_explores_is_judged():
+    logs = by_threshold(0, 400, exploring=0.2)
+    found = evaluate(FixedSequence(("A",)), logs, propensity="estimated", against="logging")
+    assert found.verdict == "not better"
+
+
+@dataclass(frozen=True)
+class GivenChances:
+    """Gives each state of a stage the same row, or an array of any other shape."""
+
+    row: tuple[float, ...] = ()
+    shape: tuple[int, ...] = ()
+    horizon: int = 2
+    actions: tuple[str, ...] = ("A", "B")
+
+    def probabilities(self, frame, stage):
+        return np.full(self.shape, 0.5) if self.shape else np.tile(self.row, (len(frame), 1))
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        (
+            GivenChances((0.45, 0.45)),
+            r"GivenChances.probabilities, stage 1, row 0: \[0.45, 0.45\] for A, B are no prob",
+        ),
+        (GivenChances((1.0, 1.0)), "give numbers ≥ 0 that add up to 1"),
+        (GivenChances((1.5, -0.5)), r"\[1.5, -0.5\] for A, B"),
+        (GivenChances((0.0, 0.0)), "that add up to 1"),
+        (GivenChances(shape=(2, 100)), r"stage 1: the shape is \(2, 100\); give one row a state.*: \(100, 2\)"),
+        (GivenChances(shape=(100,)), r"the shape is \(100,\)"),
+        (GivenChances(shape=(1, 2)), r"the shape is \(1, 2\)"),
+    ],
+)
+@pytest.mark.parametrize("is_baseline", [False, True])
+def test_probabilities_that_are_none_are_refused_rather_than_weighted(policy, message, is_baseline):
+    given = (TARGET, policy) if is_baseline else (policy, None)
+    with pytest.raises(ArgumentError, match=message):
+        found_of(given[0], log(16, num_trajectories=100), against=given[1])
+
+
+def test_probabilities_in_single_precision_are_as_good():
+    single = GivenChances(tuple(np.float32([0.3, 0.7])))
+    logs = log(16, num_trajectories=100)
+    assert found_of(single, logs).doubly_robust.value == pytest.approx(
+        found_of(GivenChances((0.3, 0.7)), logs).doubly_robust.value, rel=1e-5
+    )
+
+
 def test_a_fixed_sequence_is_worth_what_enumeration_says():
     found = found_of(FixedSequence(("B", "B")), trial(10, num_trajectories=2000))
     assert is_within(found.doubly_robust, truth((1.0, 1.0)), 3.0)
+
+
+@pytest.mark.parametrize("stage", [-1, 0, 3])
+def test_a_fixed_sequence_has_no_action_for_a_stage_that_it_does_not_name(stage):
+    with pytest.raises(ArgumentError, match=f"stage is {stage}; it lies in 1 to the horizon, 2"):
+        FixedSequence(("A", "B")).probabilities(pd.DataFrame(index=[0]), stage)
 
 
 def test_what_is_not_said_is_one_q_for_all_stages_and_cox_on_their_clock():
@@ -200,9 +283,10 @@ def test_what_is_not_said_is_one_q_for_all_stages_and_cox_on_their_clock():
         (TARGET, {"level": 1.0 - 1e-12}, "it lies between 0 and 1, and is 0.999999 at most"),
         (TARGET, {"propensity": "guessed"}, "propensity is 'guessed'"),
         (TARGET, {"num_folds": 1}, "num_folds is 1"),
+        (TARGET, {"random_state": -1}, "random_state is -1; it is a seed, a whole number ≥ 0"),
         (StatePolicy((0.0, 1.0), horizon=1), {}, "but a trajectory has 2 stages"),
         (FixedSequence(("A", "C")), {}, "takes 'C', which is not an action"),
-        ("no policy", {}, "str does not decide about named actions"),
+        ("no policy", {}, "str does not decide about named actions; give a policy with actions, horizon and prob"),
         (TARGET, {"censoring": "none"}, "censoring is 'none', which gives no weights"),
         (FixedSequence(("B", "B")), {"actions": {1: ["A", "B"], 2: ["A"]}}, "action 'B' was not possible"),
     ],

@@ -3,6 +3,7 @@ import sys
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
@@ -121,6 +122,19 @@ def test_what_cannot_be_is_refused_in_words(logs, changed, error, message):
     assert message in str(refusal.value)
 
 
+@pytest.mark.parametrize("value", [None, -1, 1.5, np.random.default_rng(0), np.random.RandomState(0)])
+def test_a_random_state_is_a_seed(logs, value):
+    with pytest.raises(ArgumentError, match=r"random_state is .*; it is a seed, a whole number ≥ 0"):
+        learner().set_params(random_state=value).fit(logs)
+
+
+@pytest.mark.parametrize("states", [np.zeros((2, 1)), {"s1_1": [0.0]}, pa.table({"s1_1": [0.0]})])
+def test_states_that_are_no_frame_are_refused(logs, states):
+    policy = learner().fit(logs).policy_
+    with pytest.raises(ArgumentError, match=f"the states are a {type(states).__name__}; give a pandas DataFrame"):
+        policy.decide(states, 1)
+
+
 @pytest.mark.parametrize(
     ("written", "message"),
     [
@@ -128,6 +142,7 @@ def test_what_cannot_be_is_refused_in_words(logs, changed, error, message):
         (lambda: Weighted(by="stage", truncate_at=0.5), r"truncate_at is 0\.5; weights are at least 1"),
         (lambda: DoublyRobust("cox", covariates="clutter"), "covariates is 'clutter'; give a list of names"),
         (lambda: NamedActions(ACTIONS, "x"), "covariates is 'x'; give a list of names"),
+        (lambda: NamedActions(ACTIONS, ["x", "y", "x"]), "covariates names 'x' twice; name it once"),
         (lambda: KernelQ(gamma=-1), "gamma is -1; give a finite number > 0"),
         (lambda: KernelQ(num_landmarks=0), "num_landmarks is 0"),
     ],

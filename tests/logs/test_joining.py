@@ -267,5 +267,9 @@ def test_what_is_not_there_is_refused_with_what_is():
         since(dated(), 8)
     with refused("give the name of one, 5 to 9, or a date"):
         since(dated(), "2027-01-01")
+    # A mistyped trajectory is no year, and a day is not taken for a month.
+    for when in ("1700", 1700, "02.03.2026", "03/02/2026", "now", "March 2026", "2026-03-32"):
+        with refused(f"since is {when}, and the log has no such trajectory; .* as 2026-01-31"):
+            since(dated(), when)
     with refused("give the name of one, 'a' to 'b'$"):
         since(log_of(trajectory=["a", "b"]), "2026-03-02")

@@ -218,7 +218,19 @@ def test_an_imbalance_is_rare_where_there_is_none_and_sure_where_there_is_one():
     rng, group = np.random.default_rng(0), np.arange(400) % 4
     even = [imbalance_p(rng.random(400) < 0.5, np.full(400, 0.5), group, 4) for _ in range(1000)]
     assert np.mean(np.array(even) < 0.05) < 0.08
-    assert imbalance_p(rng.random(400) < np.where(group == 0, 0.9, 0.4), np.full(400, 0.5), group, 4) < 1e-6
+    assert imbalance_p(rng.random(400) < np.where(group == 0, 0.9, 0.4), np.full(400, 0.5), group, 4) < 1e-5
+
+
+@pytest.mark.parametrize("exploring", [0.04, 0.1, 0.3])
+def test_an_imbalance_is_rare_where_an_action_is(exploring):
+    # A rule by group that explores: where A is rare, it may have been taken by no stage of the group at all.
+    rng, group = np.random.default_rng(3), np.arange(100) % 5
+    chance = np.where(group < 2, 1.0 - exploring / 2.0, exploring / 2.0)
+    found = 0
+    for _ in range(1000):
+        took = rng.random(100) < chance
+        found += imbalance_p(took, np.where(took, chance, 1.0 - chance), group, 5) < 0.01
+    assert found <= 10
 
 
 def test_values_are_grouped_by_fifths_and_names_by_name():

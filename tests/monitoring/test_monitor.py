@@ -200,6 +200,24 @@ def test_more_trajectories_take_nothing_back_and_one_in_progress_does_not_count(
     assert monitored(stored, Logs(stages, trajectories)).num_trajectories == 399
 
 
+def test_of_trajectories_that_were_all_cut_nothing_is_said_of_the_promise(stored):
+    logs = cell(300, 2, policy=stored.policy)
+    stages = logs.stages.assign(elapsed_s=np.nan, reward=np.nan)
+    ends = {"end_s": 0.1, "ending": "cut", "cause": "operator"}
+    found = monitored(stored, Logs(stages, logs.trajectories.assign(**ends)))
+    assert (found.earned, found.findings) == (None, ())
+    assert "no trajectory has finished, so nothing is known of what it earns" in found.notes
+    # The first that finishes counts from the next estimate on.
+    is_late = np.arange(300) >= 150
+    some = Logs(
+        logs.stages.assign(**{name: logs.stages[name].where(is_late) for name in ("elapsed_s", "reward")}),
+        logs.trajectories.assign(**{name: logs.trajectories[name].where(is_late, at) for name, at in ends.items()}),
+    )
+    weighed = monitored(stored, some).outcomes.is_weighed
+    assert not weighed[:150].any()
+    assert weighed[225:].all()
+
+
 def test_what_another_decided_says_nothing_of_the_promise(stored):
     found = monitored(stored, cell(300, 3))
     assert found.earned is None

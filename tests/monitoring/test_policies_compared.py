@@ -160,8 +160,12 @@ def test_a_comparison_that_goes_on_stands_where_one_of_the_whole_stands(cut):
 
 def test_outcomes_that_never_varied_tell_nothing():
     courses = drawn(30, np.random.default_rng(5))
-    of = counted(courses._replace(reward=np.zeros(len(courses.reward))))
-    assert (log_wealth(of, 0.0) == 0.0).all()
+    same = courses._replace(reward=np.zeros(len(courses.reward)))
+    assert (log_wealth(counted(same), 0.0) == 0.0).all()
+    # Also while every part has succeeded so far.
+    for courses in (same, same._replace(reward=np.ones(len(same.reward)))):
+        found = standing(courses, Terms(0.2, most_loss=1.0))
+        assert (found.verdict, found.share, found.gain, found.worst_loss) == ("going on", 0.2, 0.0, 0.0)
 
 
 def test_the_share_grows_as_what_is_likely_to_be_lost_shrinks():

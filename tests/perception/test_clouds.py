@@ -81,8 +81,11 @@ def test_every_kind_of_pcd_is_read(tmp_path, data, shape):
     cloud = read_cloud(path)
     assert (cloud.shape, cloud.num_returns) == (shape, 19)
     np.testing.assert_array_equal(cloud.points_m, points)
-    # More fields, and loose spacing.
-    path.write_bytes(pcd_header(2, 1, "ascii", fields="rgb x y z") + b"9 1.5  2.5 3.5 \n9 4.5 5.5\t6.5\n")
+    # More fields, and loose spacing, also in the header.
+    header = (
+        pcd_header(2, 1, "ascii", fields="rgb x y z").replace(b"FIELDS ", b"\nFIELDS\t").replace(b"TYPE ", b"TYPE  ")
+    )
+    path.write_bytes(header + b"9 1.5  2.5 3.5 \n9 4.5 5.5\t6.5\n")
     np.testing.assert_array_equal(read_cloud(path).points_m, [[1.5, 2.5, 3.5], [4.5, 5.5, 6.5]])
 
 
@@ -194,6 +197,7 @@ BAD = {
         pcd_header(10**9, 1, "binary_compressed") + pcd_body(NUMBERED, "binary_compressed"),
         "unpacked, it has 12,000 MB",
     ),
+    "odd data": (".pcd", pcd(b"DATA ascii", b"DATA BINARY"), "DATA is 'BINARY'; it is one of ascii, binary, binary_c"),
     "no z": (".pcd", pcd_header(2, 1, "ascii", fields="x y") + b"1 2\n3 4\n", "needs x, y and z"),
     "intrinsics": (".pcd", pcd(b"VERSION 0.7", b"# intrinsics 1 2\nVERSION 0.7"), "fx fy cx cy"),
     "shape": (".pcd", pcd(b"WIDTH 20\nHEIGHT 1", b"WIDTH 6\nHEIGHT 4"), "do not fill"),

@@ -145,6 +145,17 @@ def test_a_cloud_out_of_order_is_labelled_alike(surfaces, seen):
         assert there[place] == pytest.approx(count / 1.3**2, abs=3 + 0.15 * count)
 
 
+def test_stains_that_wide_pixels_cannot_show_leave_the_label_unknown(seen):
+    """A fifth of the points have pixels more than twice as wide; stains of a few were missed, and their cups clean."""
+    picture, _ = seen
+    returns = np.flatnonzero(np.isfinite(picture.cloud.points_m[:, 2]))
+    some = np.random.default_rng(0).permutation(returns)[::5]
+    thin = Cloud(picture.cloud.points_m[some], colours=picture.cloud.colours[some])
+    view = perceive(thin)
+    assert {label.is_dirty for label in StainCounter()(view, thin)} == {None}
+    assert {label.is_dirty for label in StainCounter(widest_m=0.02)(view, thin)} >= {False}
+
+
 @cache
 def fresh(seed):
     """A table, the ideal view of it, a picture of white cups and what is perceived: each takes long."""

@@ -38,6 +38,9 @@ def pair() -> tuple[Drawn, View]:
     return drawn, perceive(drawn.cloud)
 
 
+FOUR = (*PAIR, Can(-0.16, 0.05, 0.04, 0.12), Can(0.2, 0.1, 0.03, 0.07))
+
+
 def test_the_plane_is_that_of_the_table_and_points_up(pair):
     plane = pair[1].table
     np.testing.assert_allclose(plane.normal, TABLE_FROM_CAMERA[2], atol=2e-3)
@@ -178,9 +181,6 @@ def test_what_falls_into_too_many_pieces_is_refused_and_not_fitted_for_minutes(m
     monkeypatch.setattr(f"halfseen.perception.grouping.{bound}", 0)
     with pytest.raises(CloudError, match=told):
         perceive(read_cloud(table_paths()[4]))
-
-
-FOUR = (*PAIR, Can(-0.16, 0.05, 0.04, 0.12), Can(0.2, 0.1, 0.03, 0.07))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from drawn_tables import Can, draw
 from halfseen.perception import XTION, Cloud, DepthSensor, perceive
 from halfseen.perception.labels import pixel_colours
 from halfseen.perception.picture import COLOURS, DOTS_PER_INCH, THUMBNAIL_INCHES, thumbnail
-from halfseen.perception.range_image import VIRTUAL_PIXEL_SCALE, range_image
+from halfseen.perception.range_image import NEIGHBOUR_SHARE, VIRTUAL_PIXEL_SCALE, WIDENING, range_image
 
 
 def cloud_of(rng, num_points=1500):
@@ -33,11 +33,36 @@ def test_a_pixel_has_the_nearest_of_its_points_and_is_as_wide_as_rays_are_apart(
     assert max(np.bincount(image.pixel_of_point[image.pixel_of_point >= 0])) > 1
     again = range_image(Cloud(rng.permutation(points)))
     np.testing.assert_array_equal(again.points_m, image.points_m)
-    few = points[:600]
-    rays = np.unique(few[:, :2] / few[:, 2:], axis=0)
-    apart = np.linalg.norm(rays[:, None] - rays, axis=2) + np.diag(np.full(len(rays), np.inf))
-    pitch = VIRTUAL_PIXEL_SCALE * np.median(apart.min(axis=1))
-    assert 1 / range_image(Cloud(few)).intrinsics[0, 0] == pytest.approx(pitch, rel=1e-12)
+
+
+def rays_of(num_columns, num_rows, spacing):
+    """Rays of a grid, to points at 1 m."""
+    row, column = np.indices((num_rows, num_columns)).reshape(2, -1)
+    return np.stack([column * spacing[0] - 0.3, row * spacing[1] - 0.2, np.ones(row.size)], axis=1)
+
+
+def share_beside(image):
+    """Of pixels with a return that are not the last of their row or column, how many have the next one beside them."""
+    shares = []
+    for lines in (image.is_return, image.is_return.T):
+        gaps = np.concatenate([np.diff(np.flatnonzero(line)) for line in lines])
+        shares.append(np.mean(gaps == 1))
+    return min(shares)
+
+
+def test_pixels_are_as_wide_as_rays_are_apart_and_wider_where_rays_leave_gaps():
+    pitch = VIRTUAL_PIXEL_SCALE * 0.004
+    whole = rays_of(150, 100, (0.004, 0.004))
+    assert 1 / range_image(Cloud(whole)).intrinsics[0, 0] == pytest.approx(pitch, rel=1e-9)
+    for thinned in (
+        np.random.default_rng(0).permutation(whole)[::4],
+        whole[np.random.default_rng(1).random(len(whole)) < 0.7],
+        rays_of(50, 100, (0.012, 0.004)),
+    ):
+        image = range_image(Cloud(thinned))
+        steps = np.log(1 / image.intrinsics[0, 0] / pitch) / np.log(WIDENING)
+        assert share_beside(image) >= NEIGHBOUR_SHARE
+        assert 1 <= round(steps) < 8
 
 
 def test_noise_grows_with_the_square_of_the_distance_from_a_floor_on():

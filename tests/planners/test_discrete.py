@@ -104,3 +104,21 @@ def test_what_is_no_problem_is_refused(change, says):
 def test_steps_beyond_the_horizon_are_refused():
     with pytest.raises(ArgumentError, match="steps_to_go is 3; give 1 to the horizon, 2"):
         solve_discrete(*TIGER, 0.95, 2, [0.5, 0.5]).value_of([0.5, 0.5], steps_to_go=3)
+
+
+@pytest.mark.parametrize("unit", [1e-300, 1e-12, 1e-6, 1e6, 1e12])
+def test_the_unit_of_rewards_changes_no_choice(unit):
+    for seed in range(5):
+        T, O, R, belief = random_problem(seed)  # noqa: E741
+        value, action = by_enumeration(T, O, R, 1.0, 3, belief)
+        found = solve_discrete(T, O, unit * R, 1.0, 3, belief)
+        assert found.value / unit == pytest.approx(value, rel=1e-8)
+        assert found.action == action
+
+
+@pytest.mark.parametrize("belief", [[1.0, 1.0], [1.5, -0.5], [np.nan, 1.0], [0.5, 0.25, 0.25]])
+def test_a_belief_that_is_no_distribution_is_refused(belief):
+    solution = solve_discrete(*TIGER, 0.95, 2, [0.5, 0.5])
+    for ask in (solution.value_of, solution.action_of):
+        with pytest.raises(ArgumentError, match="give each of 2 states a probability, 1 in all"):
+            ask(belief)

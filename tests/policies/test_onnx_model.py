@@ -132,3 +132,21 @@ def test_text_comes_as_an_indicator_of_each_category_but_the_first(stored):
     encoded = np.array([[0.3, 0.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     scores, _ = onnxruntime.InferenceSession(model).run(None, {"covariates": encoded, "stage": np.array(1)})
     np.testing.assert_allclose(scores, policy.policy.scores(frame, 1), rtol=1e-9)
+
+
+def test_a_stage_that_is_none_and_nan_are_no_decision(kept, capfd):
+    flat, tables = (onnxruntime.InferenceSession(onnx_model(read_policy(kept / kind))) for kind in ("flat", "tables"))
+    states = np.array([[0.3, 1.0], [np.nan, 1.0]])
+    _, (known, unknown) = flat.run(None, {"covariates": states, "stage": np.array(1)})
+    assert (known in (0, 1), unknown) == (True, -1)
+    # A controller may count from 0; the graph would wrap -1 around to the last stage.
+    for stage in (0, -1, 3):
+        with pytest.raises(Exception, match="out of"):
+            flat.run(None, {"covariates": states, "stage": np.array(stage)})
+    state = random_state(2, 3, np.random.default_rng(0))
+    for to_go in (0, 4):
+        with pytest.raises(Exception, match="out of"):
+            tables.run(None, table_inputs(replace(state, steps_to_go=np.int32(to_go))))
+    _, action = tables.run(None, table_inputs(replace(state, log_odds=state.log_odds + np.float32(np.nan))))
+    assert action == -1
+    capfd.readouterr()

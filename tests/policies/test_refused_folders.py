@@ -234,6 +234,11 @@ def test_what_is_there_is_replaced_only_when_asked_and_only_a_policy(written, lo
     with pytest.raises(ArgumentError, match="it holds no policy"):
         write_policy(fitted["flat"], flat, tmp_path / "mine", overwrite=True)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "policy"]
+    # A folder is replaced as a whole.
+    (written / "journal.jsonl").write_text("recorded")
+    with pytest.raises(ArgumentError, match=r"it also holds a recorded log, journal\.jsonl, which would be lost"):
+        write_policy(fitted["flat"], flat, written, overwrite=True)
+    assert (written / "journal.jsonl").read_text() == "recorded"
 
 
 def test_a_failure_on_the_way_leaves_what_was_there(written, logs, fitted, monkeypatch):

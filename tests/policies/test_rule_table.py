@@ -84,6 +84,22 @@ def test_texts_are_compared_as_texts_and_numbers_of_toml_as_numbers(tmp_path):
         written(tmp_path, '[[rule]]\nwhen = {stage = 1}\naction = 7\n[[rule]]\naction = "b"', "r.toml"), 2
     )
     assert (chosen_by(number, 1), chosen_by(number, 2)) == ([7] * 4, ["b"] * 4)
+    truth = '[[rule]]\nwhen = {is_heavy = true}\naction = "A"\n[[rule]]\naction = "B"'
+    heavy = read_rule_table(written(tmp_path, truth, "t.toml"), 1)
+    assert chosen_by(heavy, 1, pd.DataFrame({"is_heavy": [True, False]})) == ["A", "B"]
+    assert [heavy.action({"is_heavy": each}, 1) for each in (True, 0)] == ["A", "B"]
+
+
+def test_text_may_hold_the_word_and_or_look_like_a_number(tmp_path):
+    text = "task,part,action\nnuts and bolts,,A\n!= pick and place,007,B\n,!= 7,C\n,,D\n"
+    parts = pd.DataFrame(
+        {"task": ["nuts and bolts", "bolts", "pick and place", "bolts"], "part": ["7", "007", "007", "7"]}
+    )
+    rule = read_rule_table(written(tmp_path, text), horizon=1)
+    assert chosen_by(rule, 1, parts) == ["A", "B", "C", "D"]
+    assert [rule.action(dict(row), 1) for _, row in parts.iterrows()] == ["A", "B", "C", "D"]
+    with pytest.raises(ArgumentError, match="x is '> 1 and heavy', which is no condition"):
+        read_rule_table(written(tmp_path, "x,action\n> 1 and heavy,A\n,B\n"), horizon=1)
 
 
 @pytest.mark.parametrize(
@@ -108,6 +124,7 @@ def test_texts_are_compared_as_texts_and_numbers_of_toml_as_numbers(tmp_path):
         ("[[rule]]\nif = 1\naction = 'A'", "rule.toml", "row 1 has an unknown key 'if'"),
         ("[[rule]]\nwhen = 1\naction = 'A'", "rule.toml", "row 1 has a 'when' that is no table"),
         ("[[rule]]\nwhen = {x = 1}", "rule.toml", "row 1: action is ''"),
+        ("[[rule]]\naction = true", "rule.toml", "row 1: action is True"),
         ("x,action\n1,A\n", "rule.txt", "ends in .csv or .toml"),
     ],
 )

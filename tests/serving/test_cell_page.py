@@ -3,20 +3,22 @@
 import base64
 import hashlib
 import re
+import shutil
 from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from asking import RULE, client_of, decided, run
+from asking import RULE, client_of, decided, learned, run
 
 from chromium import PAGES, faults_of, in_browser
 from halfseen.logs import read_logs
 from halfseen.monitoring import monitored
 from halfseen.monitoring.dealing import Terms
-from halfseen.policies.folder import read_policy
+from halfseen.policies.folder import read_policy, write_policy
 from halfseen.serving.comparing import Comparison
 from halfseen.serving.in_service import taken_into_service
 from halfseen.serving.watching import MOST_TRAJECTORIES, Recent, Watch, found_of
+from small_logs import flat_log
 
 VOID = {"meta", "br", "link", "path", "use", "rect", "image"}
 
@@ -163,6 +165,44 @@ def test_a_log_is_looked_at_where_there_is_news_and_not_too_often(flat, tmp_path
         watch._thread.join()
     assert len(looks) == 3
     assert said == ["Look 2."]
+
+
+def test_another_policy_is_watched_from_the_first_trajectory_on_that_it_decides_alone(flat, tmp_path, monkeypatch):
+    looks, folder = [], shutil.copytree(flat, tmp_path / "policy")
+    monkeypatch.setattr(Watch, "_asked", lambda watch: looks.append(watch._since) or {"sentence": f"{watch._since}."})
+    with (
+        Watch(folder, tmp_path / "logs", every_s=0.0) as watch,
+        client_of(folder, tmp_path / "logs", recent=Recent(watch)) as asked,
+    ):
+
+        def ended():
+            watch._next_s = 0.0
+            asked.post("/reward", json={"reward": 1.0})
+            asked.post("/end", json={"ending": "finished"})
+            watch._thread.join()
+
+        decided(asked, x1=0.1, x2=1)
+        ended()
+        asked.post("/reload")
+        decided(asked, x1=0.1, x2=1)
+        ended()
+        assert looks == [None, None]
+        before = decided(asked, x1=0.1, x2=1)["policy"]
+        write_policy(learned(reg=5.0).fit(flat_log()), flat_log(), folder, overwrite=True)
+        asked.post("/reload")
+        assert asked.get("/state").json()["monitor"] is None
+        assert "holds another policy than the one that decides" in found_of(folder, tmp_path / "logs", before)["error"]
+        assert watch.digest == asked.get("/health").json()["policy"] != before
+        # Both policies decided in the third.
+        ended()
+        assert looks == [None, None]
+        decided(asked, x1=0.1, x2=1)
+        ended()
+        assert looks == [None, None, 4]
+        assert asked.get("/state").json()["monitor"]["sentence"] == "4."
+    with client_of(flat, tmp_path / "more") as asked:
+        run(asked, np.random.default_rng(0), 3)
+    assert found_of(flat, tmp_path / "more", "", "2")["num_trajectories"] == 2
 
 
 def test_a_log_that_cannot_be_watched_is_told_once(flat, tmp_path):

@@ -65,6 +65,7 @@ def test_it_says_what_act_says(asked, flat, tmp_path):
         (b"{", 400, "no JSON"),
         (b"[" * 100_000, 400, "no JSON"),
         (b'{"x1": NaN, "x2": 1}', 400, "NaN is not a JSON number"),
+        (b'{"x1": 0, "x2": 1, "x1": 2}', 400, "'x1' is given twice"),
         (b"\xff", 400, "no JSON"),
         (b"[1]", 422, "JSON list; send one object"),
         (b"{}", 422, "there is no 'x1' among nothing"),
@@ -73,8 +74,15 @@ def test_it_says_what_act_says(asked, flat, tmp_path):
         (b'{"x1": "red", "x2": 1}', 422, "'x1' is not numeric"),
         (b'{"x1": [1], "x2": {"a": 2}}', 422, "'x1' is not numeric"),
         (b'{"x1": 1e999, "x2": 1}', 400, "1e999 is not a JSON number"),
+        # Of a log that held it, nothing could be learned.
+        (
+            b'{"x1": 1.7976931348623157e308, "x2": 1}',
+            422,
+            "'x1' is 1.7976931348623157e+308; give a finite",
+        ),
         (b'{"x1": 1' + b"0" * 400 + b', "x2": 1}', 400, "is not a 64-bit whole number"),
         (b'{"x1": 0, "x2": 1, "stage": 0}', 422, "stage is 0; it is a whole number from 1"),
+        (b'{"x1": 0, "x2": 1, "stage": 10001}', 422, "stage is 10001; it is a whole number from 1 to 10,000"),
         (b'{"x1": 0, "x2": 1, "stage": true}', 422, "stage is True"),
         (b'{"x1": 0, "x2": 1, "stage": "1"}', 422, "stage is 1"),
         (b'{"x1": 0, "x2": 1, "stage": null}', 422, "stage is None"),
@@ -89,10 +97,12 @@ def test_a_bad_request_gets_one_line_and_harms_no_other(asked, body, status, say
 
 def test_other_addresses_and_forms_are_refused(asked):
     text = {"content": b"{}", "headers": {"content-type": "text/plain"}}
+    packed = {"content": b"\x1f\x8b", "headers": {"content-type": "application/json", "content-encoding": "gzip"}}
     for answer, status, told in (
         (asked.get("/decisions"), 404, "nothing at this address"),
         (asked.get("/decide"), 405, "GET is not answered"),
         (asked.post("/decide", **text), 415, "content-type is 'text/plain'"),
+        (asked.post("/decide", **packed), 415, "content-encoding is 'gzip'; send it unpacked"),
         (asked.post("/decide", files={"cloud": ("t.pcd", b"no")}), 415, "not at clouds"),
         (asked.post("/reward", json={"reward": 1}), 409, "records nothing"),
         # A page of another site.
@@ -130,7 +140,7 @@ def test_what_is_decided_becomes_a_log_with_probabilities(flat, tmp_path):
         rng = np.random.default_rng(3)
         for trajectory in range(24):
             for stage in (1, 2):
-                state = {"x1": float(rng.normal()), "x2": int(rng.integers(3)), "seen_by": "left"}
+                state = {"x1": float(rng.normal()), "x2": int(rng.integers(3)), "seen_by": "left", "objects": 3}
                 told = client.post("/decide", json=state).json()
                 assert (told["trajectory"], told["stage"]) == (trajectory + 1, stage)
                 taken.append((told["action"], told["probability"]))
@@ -147,6 +157,8 @@ def test_what_is_decided_becomes_a_log_with_probabilities(flat, tmp_path):
     np.testing.assert_array_equal(logs.stages["reward"], np.where(is_seen.ravel(), rewards, np.nan))
     assert list(zip(logs.stages["action"], logs.stages["probability"], strict=True)) == taken
     assert set(logs.stages["seen_by"]) == {"left"}
+    # Only a table has objects of its own.
+    assert set(logs.stages["objects"]) == {3}
     assert (logs.num_trajectories, int(logs.is_finished.sum())) == (24, 18)
     assert set(logs.stages["probability"].round(9)) == {0.8, 0.2}
     assert 2 <= sum(p < 0.5 for _, p in taken) <= 20
@@ -169,7 +181,8 @@ def test_an_end_says_which(flat, tmp_path):
     with client_of(flat, tmp_path / "logs") as client:
         client.post("/decide", json=SEEN)
         unclear = ({}, {"ending": "done"}, {"ending": "cut"}, {"ending": "finished", "cause": "x"})
-        for end in (*unclear, {"ending": "cut", "why": 1}):
+        # A trajectory that goes on is not counted.
+        for end in (*unclear, {"ending": "cut", "why": 1}, {"ending": "cut", "cause": "still-running"}):
             refused(client.post("/end", json=end), 422)
             assert client.get("/health").json()["recording"]["trajectory"] == 1
 
@@ -322,6 +335,10 @@ def test_a_field_that_a_model_does_not_take_is_named_with_its_value_and_the_reme
         for stage in ("x", "1.5", "0", "-1", ""):
             line = refused(client.post("/decide", files=files, data={"stage": stage}), 422)
             assert line == f"the request: stage is {stage!r}; give the stage to decide, a whole number from 1."
+        for more, says in (("label", "'label' is none of its parts"), ("cloud", "'cloud' is given twice")):
+            parts = [*files.items(), (more, ("l.csv", b""))]
+            line = refused(client.post("/decide", files=parts), 422)
+            assert line == f"the request: {says}; give cloud, labels, stage"
         line = refused(client.post("/decide", files=files, data={"labels": "0,dirty"}), 422)
         assert line.startswith("the request: labels is '0,dirty'; give a .csv or .json of what looks dirty, as")
 
@@ -356,6 +373,13 @@ def test_a_table_is_decided_from_a_cloud_as_act_does(tables):
         assert "there is no 'objects'; give a list" in refused(client.post("/decide", json={"x": 1}), 422)
         openapi = client.get("/openapi.json").json()["paths"]["/decide"]["post"]["requestBody"]["content"]
         assert set(openapi) == {"application/json", "multipart/form-data"}
+
+
+@pytest.mark.parametrize("location", [[], ["TABLE", "TABLE"], 1, None, "SINK"])
+def test_a_place_that_is_none_is_refused_in_one_line(tables, objects, location):
+    with client_of(tables, of_tables=True) as client:
+        given = [{**one, "location": location} for one in objects]
+        assert "location" in refused(client.post("/decide", json={"objects": given}), 422)
 
 
 def test_a_table_as_a_log_has_it_is_decided_and_recorded(tables, objects, tmp_path):

@@ -8,7 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from asking import client_of, decided, refused
+from click.testing import CliRunner
 
+from halfseen.cli.evaluate import evaluate
+from halfseen.cli.serve import serve
+from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, read_logs
 from halfseen.policies.folder import read_policy, write_policy
@@ -67,6 +71,19 @@ def test_a_hair_outside_the_rule_decides_where_that_is_wanted_and_the_ends_are_w
             assert not float(least) <= float(value) <= float(most)
 
 
+def test_the_ends_of_what_was_logged_in_single_precision_are_within_however_they_are_written(tmp_path):
+    logs, rng = flat_log(), np.random.default_rng(0)
+    x1 = rng.choice(np.array([0.1, 0.2, 0.3], dtype=np.float32), len(logs.stages))
+    logs = Logs(logs.stages.assign(x1=x1), logs.trajectories)
+    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1)
+    write_policy(learner.fit(logs), logs, tmp_path / "policy")
+    with client_of(tmp_path / "policy", served={"stays_within": True}) as client:
+        for value in (0.1, 0.3, *map(float, np.float32([0.1, 0.3]))):
+            assert "stepped_back" not in decided(client, x1=value, x2=1)
+        for value in (0.0999999, 0.3000001):
+            assert decided(client, x1=value, x2=1)["stepped_back"] == "out-of-range"
+
+
 def test_a_rule_file_decides_and_where_it_cannot_the_usual_action_does(flat, tmp_path, logs):
     rule = tmp_path / "rule.csv"
     rule.write_text("x2,seen_by,action\n> 1,= left,C\n,,A\n")
@@ -79,6 +96,29 @@ def test_a_rule_file_decides_and_where_it_cannot_the_usual_action_does(flat, tmp
     rule.write_text("action\nD\n")
     with pytest.raises(ValueError, match=r"rule\.csv: there is no action D; there are A, B, C"):
         Served(flat, rule=rule)
+    # Otherwise that row would fail in each state, and the usual action be taken.
+    rule.write_text("x1,action\nhigh,B\n,A\n")
+    with pytest.raises(ValueError, match=r"rule\.csv: row 1: x1 is 'high', and the policy knows numbers of it"):
+        Served(flat, rule=rule)
+
+
+def test_a_rule_that_asks_for_what_the_policy_does_not_is_told_of(flat, tmp_path):
+    (tmp_path / "rule.csv").write_text("x_1,action\n> 1,B\n,A\n")
+    # It is told before the address is found not to be of this machine.
+    words = [str(flat), "--fall-back", str(tmp_path / "rule.csv"), "--host", "192.0.2.1", "--token", "a" * 16]
+    told = CliRunner().invoke(serve, words)
+    assert "rule.csv: the rule asks for x_1, and the policy does not; where a request lacks it" in told.output
+    assert "did you mean 'x1'?" in told.output
+    assert isinstance(told.exception, ArgumentError)
+    logs = flat_log()
+    logs = Logs(logs.stages.assign(colour=np.where(logs.stages["x1"] > 0, "red", "blue")), logs.trajectories)
+    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "colour"], reg=0.1)
+    write_policy(learner.fit(logs), logs, tmp_path / "policy")
+    (tmp_path / "rule.csv").write_text("colour,action\nred or blue,B\n!= Red,C\nblue,A\n,A\n")
+    told = CliRunner().invoke(serve, [str(tmp_path / "policy"), *words[1:]]).output
+    assert "rule.csv: the rule asks for colour = red or blue, which no log showed" in told
+    assert "rule.csv: the rule asks for colour != Red, which no log showed; did you mean 'red'?" in told
+    assert told.count("the rule asks for") == 2
 
 
 @pytest.mark.parametrize("failing", ["raises", "is no number"])
@@ -124,8 +164,23 @@ def test_a_new_category_is_outside_the_logs(tmp_path):
     with client_of(tmp_path / "policy") as client:
         told = decided(client, x1=0.1, colour="mauve")
         assert (told["action"], told["stepped_back"]) == (usual(logs, 1), "out-of-range")
-        assert "colour is 'mauve', which no state of the logs showed" in told["reason"]
+        assert "colour is 'mauve', which no state of the logs showed." in told["reason"]
+        told = decided(client, x1=0.1, colour="Red")
+        assert "colour is 'Red', which no state of the logs showed; they showed 'red'." in told["reason"]
         assert "'x1'" in refused(client.post("/decide", json={"colour": "mauve"}), 422)
+
+
+def test_a_category_that_comes_as_a_number_is_text_in_the_log(tmp_path):
+    logs = flat_log()
+    logs = Logs(logs.stages.assign(part=np.where(logs.stages["x1"] > 0, "4711", "12a")), logs.trajectories)
+    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "part"], reg=0.1)
+    write_policy(learner.fit(logs), logs, tmp_path / "policy")
+    with client_of(tmp_path / "policy", tmp_path / "logs") as client:
+        client.event_hooks = {}  # it is taken, but not described
+        for part in (4711, "12a", "4711", "new"):
+            decided(client, x1=0.1, part=part)
+            client.post("/reward", json={"reward": 1.0})
+    assert read_logs(tmp_path / "logs").stages["part"].tolist() == ["4711", "12a", "4711", "new"]
 
 
 def test_the_log_says_where_the_rule_decided_and_is_learned_from(flat, tmp_path):
@@ -148,6 +203,28 @@ def test_the_log_says_where_the_rule_decided_and_is_learned_from(flat, tmp_path)
     logs.write(tmp_path / "written")
     assert read_logs(tmp_path / "written").stages["stepped_back"].value_counts().to_dict() == counts
     CensoredQLearner(logs.horizon, ["A", "B", "C"], ["x1", "x2"], reg=0.1).fit(logs)
+
+
+def test_what_was_served_is_evaluated_with_the_rules_decisions(flat, tmp_path):
+    (tmp_path / "rule.csv").write_text("stage,action\n1,B\n,C\n")
+    rng, served = np.random.default_rng(1), {"rule": tmp_path / "rule.csv", "stays_within": True}
+    with client_of(flat, tmp_path / "logs", served=served) as client:
+        for trajectory in range(60):
+            # Some go on beyond the horizon.
+            for stage in range(1, 3 + trajectory % 2):
+                is_far = rng.random() < 0.3
+                told = decided(client, x1=float(rng.uniform(-1.0, 1.0)) + 9.0 * is_far, x2=int(rng.integers(3)))
+                assert ("stepped_back" in told) == (is_far or stage == 3)
+                client.post("/reward", json={"reward": float(rng.random()) + is_far * (told["action"] != "A")})
+            client.post("/end", json={"ending": "finished"})
+    stages = read_logs(tmp_path / "logs").stages
+    told = CliRunner().invoke(evaluate, [str(flat), "--logs", str(tmp_path / "logs"), "--json"], catch_exceptions=False)
+    report = json.loads(told.stdout)
+    # The policy and its rule made this log, so what they earned is what they are worth.
+    value = report["doubly_robust"]["value"]
+    assert value == pytest.approx(stages["reward"].sum() / 60)
+    num = int(stages["stepped_back"].notna().sum())
+    assert report["notes"][0].startswith(f"in {num} stages the state lies outside the policy's logs")
 
 
 def test_a_folder_of_before_refuses_what_it_did(flat, monkeypatch):

@@ -196,6 +196,7 @@ def test_the_action_is_there_before_its_number_and_how_it_stands_is_told(side):
         ({}, {"stage": -1}, "stage is -1, and no whole number from 0"),
         ({"request": "has the quality Bad"}, {}, "request has the quality Bad"),
         ({}, {"request": 1.5}, "request is 1.5, and no whole number from 0"),
+        ({}, {"ending": 1}, 'ending is 1, and no text; give "", "finished", or what cut the trajectory'),
     ],
 )
 def test_what_is_doubtful_is_not_acted_on_until_it_is_good_and_both_are_told_once(side, doubts, values, told):
@@ -213,6 +214,18 @@ def test_what_is_doubtful_is_not_acted_on_until_it_is_good_and_both_are_told_onc
     assert side.look(controller).state == "ResultReady"
     assert side.lines[1:] == [f"{URL}: all is well again"]
     assert controller.values["decision"] == 1
+
+
+@pytest.mark.parametrize("ending", ["Finished", "FINISHED", " finished "])
+def test_a_trajectory_that_finished_in_other_letters_is_not_cut(side, ending):
+    controller = Played()
+    controller.ask(1, {"x1": 0.1, "x2": 1}, ending=" ")
+    side.look(controller)
+    controller.ask(2, {"x1": 0.1, "x2": 1}, ending=ending, reward=1.5, elapsed_s=2.0)
+    assert side.look(controller).state == "Ready"
+    side.leave()
+    assert side.logs().trajectories["ending"].tolist() == ["finished"]
+    assert side.logs().stages["reward"].tolist() == [1.5]
 
 
 @pytest.mark.parametrize(

@@ -253,7 +253,7 @@ def test_a_log_without_cuts_says_so_and_assumes_nothing_of_them(stored, monkeypa
 
 
 def test_choices_are_shares_of_the_same_states(stored, logs):
-    for row in choices(stored, task_of(stored.policy, logs), logs):
+    for row in choices(stored.policy, task_of(stored.policy, logs), logs):
         states = logs.stages[logs.stages["stage"] == row["stage"]]
         taken = stored.policy.decide(states, row["stage"])
         assert row["num_states"] == len(states)

@@ -46,6 +46,7 @@ def checked_ends(time: ArrayLike, is_finished: ArrayLike, name: str = "time") ->
 
 def checked_floats(values: ArrayLike, name: str, ndim: int = 1) -> np.ndarray:
     """`values` as float64 with `ndim` axes."""
+    _refuse_other_kinds(values, name)
     try:
         floats = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -55,8 +56,19 @@ def checked_floats(values: ArrayLike, name: str, ndim: int = 1) -> np.ndarray:
     return floats
 
 
+def _refuse_other_kinds(values: Any, name: str) -> None:
+    """Refuse masked entries, whose mask NumPy would drop, and dates and complex numbers, which it would convert."""
+    if np.ma.is_masked(values):
+        row = int(np.argwhere(np.ma.getmaskarray(values))[0][0])
+        raise ArgumentError(f"{name}, row {row}: masked; fill it in, or leave the row out knowingly")
+    kind = getattr(values, "dtype", None)
+    if getattr(kind, "kind", "f") in "mMc":
+        raise ArgumentError(f"{name} holds {kind}, not real numbers; convert it, times to seconds")
+
+
 def checked_times(u: ArrayLike) -> Float[np.ndarray, "..."]:
     """Times of a query as float64; NaN is refused."""
+    _refuse_other_kinds(u, "u")
     times = np.asarray(u, dtype=np.float64)
     if np.isnan(times).any():
         row = int(np.argmax(np.isnan(times.ravel())))
@@ -74,6 +86,7 @@ def checked_truncation(truncate_at: float | int | None) -> float | int | None:
 
 
 def _checked_bools(values: ArrayLike, name: str) -> RowMask:
+    _refuse_other_kinds(values, name)
     flags = np.asarray(values)
     if flags.ndim != 1:
         raise ArgumentError(f"{name} has shape {flags.shape}; give one axis")
@@ -192,6 +205,7 @@ def _as_table(covariates: Any) -> pd.DataFrame | None:
 
 
 def _matrix(covariates: Any) -> Float[np.ndarray, "n p"]:
+    _refuse_other_kinds(covariates, "covariates")
     try:
         values = np.asarray(covariates, dtype=np.float64)
     except (TypeError, ValueError) as error:

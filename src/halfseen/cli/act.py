@@ -132,7 +132,7 @@ def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool) -> No
     """Write the policy in the folder POLICY as an ONNX model. Needs the extra onnx.
 
     Of named actions, it takes covariates, (n, features) in double precision, and the stage, from 1; it gives scores,
-    (n, actions), and the number of the best action.
+    (n, actions), and the number of the best action, from 0; −1 where a covariate is NaN.
 
     Of tables, it takes the fields of TableState as halfseen.world describes them, for a fixed number of objects; it
     gives scores, one for each action, and the number of the best.
@@ -150,7 +150,7 @@ def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool) -> No
     click.echo(f"{onnx}: {len(model):,} bytes")
 
 
-ALARM = 3  # exit status
+ALARM, NOT_JUDGED = 3, 2  # exit status
 
 
 @click.command(epilog="Example: halfseen monitor policy --logs next-logs --follow --page service.html")
@@ -183,7 +183,8 @@ def monitor(
     It says whether what was promised is earned, though trajectories were cut; which covariates have moved, by stage and
     together; which part of the cell broke: what an action brings or how long it takes in the same states, or cuts;
     since when; and whether learning again may pay. It may be asked after every trajectory: in a whole lifetime
-    without change, the chance of a false alarm is meant to be at most 5 %.
+    without change, the chance of a false alarm is meant to be at most 5 %. Of a log that another policy made, it says
+    so; exit status 2.
     """
     from halfseen.logs import read_logs
     from halfseen.logs.joining import since as later
@@ -220,8 +221,8 @@ def monitor(
         if text != said:
             say(text)
         said = text
-        if found.findings:
-            sys.exit(ALARM)
+        if found.findings or found.foreign:
+            sys.exit(ALARM if found.findings else NOT_JUDGED)
         if not follow:
             return
         time.sleep(every)

@@ -107,18 +107,20 @@ def _by_logs(
         from halfseen.evaluation import evaluate as evaluated
         from halfseen.evaluation.kept import earned_here, kept_promise
         from halfseen.evaluation.specification import specification_of
+        from halfseen.evaluation.stepped_back import with_its_rule
         from halfseen.logs import read_logs
         from halfseen.policies.folder import log_digest
 
         logs = read_logs(folder, missing=stored.missing(missing))
         bar.begin("evaluate", WORK["start"])
         spec = specification_of(stored, logs, **cuts._asdict())
-        answer = evaluated(stored.policy, logs, censoring=spec.censoring, q=spec.q, **settings)
+        served, known, by_rule = with_its_rule(stored.policy, logs, stored.is_outside)
+        answer = evaluated(served, known, censoring=spec.censoring, q=spec.q, **settings)
         is_own, kept = log_digest(logs) == stored.record["log"].get("sha256"), None
         if not is_own and (promise := stored.record.get("promise")) is not None:
-            kept = kept_promise(promise, logs, *earned_here(stored.policy, logs, spec.q, answer))
+            kept = kept_promise(promise, logs, *earned_here(served, known, spec.q, answer))
     flattered = "it was learned from these very logs, which flatters it; give logs that were kept aside for the test"
-    notes = [*([flattered] if is_own else []), *answer.notes, *of_library]
+    notes = [*([flattered] if is_own else []), *by_rule, *answer.notes, *of_library]
     report = {
         "logs": str(folder),
         "propensity": settings["propensity"],

@@ -22,7 +22,7 @@ from halfseen.progress import Progress
 from halfseen.text_table import aligned
 
 if TYPE_CHECKING:
-    from halfseen.perception import View
+    from halfseen.perception import Cloud, View
     from halfseen.tables.first_look import FirstLook
     from halfseen.view import Watched
     from halfseen.workers import Workers
@@ -83,15 +83,19 @@ def _look_at(cloud: Path, is_json: bool, picture: Path | None, labels: Path | No
 
 
 def _table(view: "View", found: "FirstLook") -> list[str]:
+    from halfseen.perception.view import SMALLEST_OTHER_SHARE, hidden_by_others
+
     header = ["object", "x [m]", "y [m]", "z [m]", "height [m]", "pose", "points", "hidden", "hidden by"]
     rows = [header]
     for seen in view.objects:
         x, y, z = seen.centroid_m
         hiders = sorted(range(len(view.objects)), key=lambda j: (-view.hides[seen.id, j], j))
-        by = ", ".join(f"{j} ({view.hides[seen.id, j]:.2f})" for j in hiders if view.hides[seen.id, j] >= 0.005)
+        by = [f"{j} ({view.hides[seen.id, j]:.2f})" for j in hiders if view.hides[seen.id, j] >= 0.005]
+        if (share := hidden_by_others(view, seen)) >= SMALLEST_OTHER_SHARE:
+            by.append(f"other ({share:.2f})")
         pose = "upright" if seen.is_upright else "lying"
         numbers = [f"{x:.3f}", f"{y:.3f}", f"{z:.3f}", f"{seen.height_m:.3f}"]
-        rows.append([str(seen.id), *numbers, pose, str(seen.num_points), f"{seen.occlusion:.2f}", by or "-"])
+        rows.append([str(seen.id), *numbers, pose, str(seen.num_points), f"{seen.occlusion:.2f}", ", ".join(by) or "-"])
     if found.labels is not None:
         told = zip(found.labels, found.chances, strict=True)
         labels = [("in view", "label", "P(dirty)")]
@@ -133,29 +137,31 @@ def _look_at_many(clouds: Sequence[Path], workers: "Workers", is_json: bool) -> 
         raise refused[-1]
 
 
-def _seen_in(look: "Callable[[View, Path], Any]", cloud: Path) -> Any:
+def _seen_in(look: "Callable[[Cloud, View, Path], Any]", cloud: Path) -> Any:
     """Look at a cloud; an error is returned, so that the other clouds are still processed."""
     try:
-        return look(perceived(cloud)[1], cloud)
+        return look(*perceived(cloud), cloud)
     except CloudError as error:
         return error
 
 
-def _named_facts(view: "View", cloud: Path) -> dict[str, Any]:
-    return {"cloud": str(cloud), **_facts(view, None)}
+def _named_facts(seen: "Cloud", view: "View", cloud: Path) -> dict[str, Any]:
+    from halfseen.tables.first_look import first_look
+
+    return {"cloud": str(cloud), **_facts(view, first_look(view, seen))}
 
 
-def _row(view: "View", cloud: Path) -> list[str]:
+def _row(_: "Cloud", view: "View", cloud: Path) -> list[str]:
     hidden = [each.occlusion for each in view.objects]
     num_upright = sum(each.is_upright for each in view.objects)
     counts = [len(hidden), num_upright, len(hidden) - num_upright, view.num_cut, sum(each >= 0.5 for each in hidden)]
     return [str(cloud), *map(str, counts), f"{max(hidden):.2f}"]
 
 
-def _facts(view: "View", found: "FirstLook | None") -> dict[str, Any]:
+def _facts(view: "View", found: "FirstLook") -> dict[str, Any]:
     """Facts for programs: the objects on the table, and their labels."""
     labels = [{}] * len(view.objects)
-    if found is not None and found.labels is not None:
+    if found.labels is not None:
         labels = [
             {"label": label.word, "share_in_view": label.share_in_view, "p_dirty": chance}
             for label, chance in zip(found.labels, found.chances, strict=True)

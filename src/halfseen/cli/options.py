@@ -85,9 +85,18 @@ def whole(*names: str, least: int, most: int, text: str, default: int | None = N
     return click.option(*names, type=click.IntRange(least, most), default=default, help=text)
 
 
+class Real(click.FloatRange):
+    """A number within bounds; NaN, which no comparison refuses, is outside any."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Refuse NaN, too."""
+        number = super().convert(value, param, ctx)
+        return number if number == number else self.fail(f"{value} is no number", param, ctx)
+
+
 def real(*names: str, text: str, default: float | None = None, **bounds: Any) -> Any:
     """An option that is a number within the bounds of `click.FloatRange`."""
-    return click.option(*names, type=click.FloatRange(**bounds), default=default, help=text)
+    return click.option(*names, type=Real(**bounds), default=default, help=text)
 
 
 def word(*names: str, of: Any, text: str, default: str | None = None) -> Any:

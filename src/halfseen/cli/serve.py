@@ -17,7 +17,7 @@ from halfseen.cli import options
 from halfseen.cli.inputs import give_mapping, law_of
 from halfseen.cli.messages import tell_warning
 from halfseen.cli.options import SHIPPED
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, did_you_mean
 
 if TYPE_CHECKING:
     from halfseen.logs import LogRecorder
@@ -44,7 +44,7 @@ class _ShareOrTable(click.ParamType):
         """Distinguish a table from a share by the file ending."""
         if str(value).lower().endswith(".csv"):
             return Path(value)
-        share: Any = click.FloatRange(0.0, 1.0, max_open=True)
+        share: Any = options.Real(0.0, 1.0, max_open=True)
         return share.convert(value, param, ctx)
 
 
@@ -171,23 +171,28 @@ def serve(
     _check_wire(controller, mapping, record)
     if against is not None and record is None:
         raise ArgumentError(f"--against is {against}, and the comparison lives in the log; give --record LOGS")
+    if record is not None and record.exists() and policy.exists() and record.samefile(policy):
+        raise ArgumentError(f"--record is {record}, the folder of the policy; give another folder for its logs")
     # Create the folder of logs only when there is something to record.
     stays_within = not extrapolate and out_of_range != "answer"
     how: Any = {"extrapolates": extrapolate, "stays_within": stays_within, "rule": fall_back or against}
     served = Served(policy, **how, limit_s=time_limit)
     if served.service.fall_back is None:
         tell_warning(f"{NOBODY}; until then, what the policy does not decide is refused")
+    for file in filter(None, dict.fromkeys((fall_back, against))):
+        _warn_of_rule(served.service.stored, file)
     if served.service.stored.counts_views:
         served.law = law_of(law or SHIPPED)
     wire = None if controller is None or mapping is None else _wire(served, controller, mapping)
     say = partial(print, flush=True)
     goes_on = record is not None and record.exists()
     kinds = {"is_of_tables": served.service.stored.is_table, "resumes": wire is not None}
+    watched: Any = (policy, record, monitor_every, say, served.service.digest)
     epsilon, table = (0.0, _table(served.service.stored, explore)) if isinstance(explore, Path) else (explore, None)
     with (
         bound_socket(host, port) as at,
         nullcontext() if record is None else RecordedTrajectories(record, **kinds) as trajectories,
-        nullcontext() if record is None or not monitor_every else Watch(policy, record, monitor_every, say) as watch,
+        nullcontext() if record is None or not monitor_every else Watch(*watched) as watch,
     ):
         rng, recent = np.random.default_rng(seed), Recent(watch)
         served.answering = Answering(epsilon, table, rng, trajectories, recent=recent)
@@ -203,6 +208,22 @@ def serve(
                 watch.ended()
 
         answer(app_of(served, token, wire=wire), at, begun)
+
+
+def _warn_of_rule(stored: Any, file: Path) -> None:
+    """Tell of columns and categories that the policy does not know; requests may still bring them."""
+    from halfseen.policies.rule_files import rule_of
+
+    rule, covariates, categories = rule_of(stored, file), stored.policy.covariates, stored.policy.categories
+    for name in (name for name in rule.columns if name not in covariates):
+        tell_warning(
+            f"{file}: the rule asks for {name}, and the policy does not; where a request lacks it, the usual action of "
+            f"the log is taken instead of the rule's{did_you_mean(name, covariates)}"
+        )
+    for one in (one for row in rule.rows for one in row.conditions):
+        if one.column in categories and one.text not in categories[one.column]:
+            meant = did_you_mean(str(one.text), categories[one.column])
+            tell_warning(f"{file}: the rule asks for {one.column} {one.sign} {one.text}, which no log showed{meant}")
 
 
 def _check_wire(controller: str | None, mapping: Path | None, record: Path | None) -> None:

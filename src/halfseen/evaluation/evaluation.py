@@ -97,7 +97,8 @@ class Evaluation:
     Parameters
     ----------
     importance_sampling
-        By the weights alone: rewards of trajectories that agree with the policy.
+        By the weights alone: rewards of trajectories that agree with the policy. Where weights 1/Ĝ are truncated, by
+        default at 10, it is biased towards stages that end early, and its interval does not include that.
     fitted_q
         By the model alone: Q̂ of the policy at the first states. Its interval does not include model error.
     doubly_robust

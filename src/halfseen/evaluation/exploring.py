@@ -98,7 +98,7 @@ def exploration_of(case: Case) -> Exploration:
     names = [name for name in dict.fromkeys(["stage", *own]) if is_numeric(problem.logs.stages, name)]
     columns = laid_out(problem.logs.stages[names].to_numpy(dtype=np.float64), problem.logs, trajectories)[begun]
     leaves = [
-        _Leaf(names, limits, int(action), rows, taken[rows], hangs[rows])
+        _Leaf(names, limits, int(action), rows, taken[rows], hangs[rows], columns)
         for action in np.unique(wanted)
         for limits, rows in _leaves(columns, hangs, np.flatnonzero(wanted == action))
     ]
@@ -128,6 +128,10 @@ def _variance(case: Case) -> Float[np.ndarray, "n T"]:
     return np.where(weight > 0, weight * (target - taken), 0.0) ** 2
 
 
+FEW_MOVED = 0.01
+"""Largest share of the states on the other side of a limit as it is written."""
+
+
 class _Leaf(NamedTuple):
     names: Sequence[str]
     limits: dict[int, tuple[float, float]]
@@ -135,6 +139,8 @@ class _Leaf(NamedTuple):
     rows: Int[np.ndarray, " m"]
     taken: Int[np.ndarray, " m"]
     hangs: Float[np.ndarray, " m"]
+    columns: Float[np.ndarray, "n G"]
+    """Of all stages."""
 
     @property
     def share(self) -> float:
@@ -155,10 +161,21 @@ class _Leaf(NamedTuple):
     def conditions(self) -> dict[str, str]:
         """Conditions by column."""
         ranges = {}
-        for column, (low, high) in self.limits.items():
-            parts = [f"> {low:.4g}"] * bool(np.isfinite(low)) + [f"<= {high:.4g}"] * bool(np.isfinite(high))
+        for column, limits in self.limits.items():
+            parts = [
+                f"{sign} {_written(limit, self.columns[:, column])}"
+                for sign, limit in zip((">", "<="), limits, strict=True)
+                if np.isfinite(limit)
+            ]
             ranges[self.names[column]] = " and ".join(parts)
         return ranges
+
+
+def _written(limit: float, values: Float[np.ndarray, " m"]) -> str:
+    """Write a limit with four digits, or as many as keep all but few values on their side."""
+    texts = (f"{limit:.{digits}g}" for digits in range(4, 17))
+    is_low = values <= limit
+    return next((text for text in texts if np.mean((values <= float(text)) != is_low) <= FEW_MOVED), repr(limit))
 
 
 class _Part(NamedTuple):

@@ -12,7 +12,6 @@ from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.evaluation import Evaluation
 from halfseen.evaluation.off_policy import QSpec
 from halfseen.evaluation.specification import task_of
-from halfseen.evaluation.stepped_back import with_its_rule
 from halfseen.logs import Logs
 from halfseen.policies.folder.promised_parts import below
 from halfseen.policies.shares import action_shares
@@ -60,7 +59,6 @@ class Kept:
 
 def earned_here(policy: Any, logs: Logs, q: QSpec | None, found: Evaluation) -> tuple[Estimate, bool]:
     """Return of a policy by a log, estimated if another policy made it; and whether the policy made it."""
-    policy, logs, _ = with_its_rule(policy, logs)
     task = task_of(policy, logs) if q is None or q.task is None else q.task
     shares = action_shares(policy, task, [logs])
     is_own = bool(np.average(shares["as_logged"].fillna(0.0), weights=shares["num_states"]) >= OWN)

@@ -33,6 +33,7 @@ from halfseen.evaluation.targets import (
 from halfseen.evaluation.verdict import FEWEST_BY_STATES, FEWEST_TRAJECTORIES, why_unknown
 from halfseen.evaluation.weights import Propensity, jackknifed
 from halfseen.learning.judging import FittedValues
+from halfseen.learning.q_model import check_seed
 from halfseen.learning.targets import Targets, targets_of
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
@@ -302,6 +303,7 @@ def judging(
 ) -> Iterator[Judge]:
     """Prepare a log for evaluating a policy, and others of the same task; parameters as in `evaluate`."""
     check_level(level)
+    check_seed(random_state)
     if propensity not in get_args(Propensity):
         raise ArgumentError(f"propensity is {propensity!r}; it is 'logged' or 'estimated'")
     if num_folds < 2:

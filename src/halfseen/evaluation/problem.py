@@ -18,7 +18,7 @@ from halfseen.evaluation.weights import (
     begun_weights,
     completed_weights,
     cross_fitted,
-    estimated_propensity,
+    estimated_chances,
     judged_without,
     likelihood_ratios,
     logged_propensity,
@@ -26,6 +26,7 @@ from halfseen.evaluation.weights import (
     nuisances_by_folds,
     nuisances_of,
     of_own_fold,
+    of_taken,
     single_ratios,
     uncut_before,
 )
@@ -62,6 +63,8 @@ class Problem(NamedTuple):
     """An action of the policy that was never completed in the log, in words."""
     unexplored: float = 0.0
     """Share of the stages in which the policy deviates where the log never did."""
+    chances: Float[np.ndarray, "n T A"] | None = None
+    """b(a | S_t) of known stages, if it is estimated."""
     squared_ratio: float = 1.0
     """E[ρ²] of whole trajectories."""
     is_revealed: bool = False
@@ -193,11 +196,13 @@ def problem_of(
     whole = nuisances_of(model, trajectories)
     log = model.weighted(trajectories, whole.weight, whole.imputation, model.folds(trajectories.num_trajectories))
     needed = (is_begun if whole.imputation else trajectories.is_completed) & trajectories.has_action
+    chances = None
     if propensity == "logged":
         likely = logged_propensity(trajectories, needed)
     else:
         is_pooled = model.stages == "pooled" and is_alike(task)
-        likely = estimated_propensity(trajectories, needed, model.blocks(probabilities.shape[-1]), is_pooled)
+        chances = estimated_chances(trajectories, model.blocks(probabilities.shape[-1]), is_pooled)
+        likely = np.where(needed, of_taken(chances, trajectories), 1.0)
     fold = rng.permutation(trajectories.num_trajectories) % num_folds
     nuisances = (*nuisances_by_folds(model, trajectories, whole, fold), whole)
     alike, support = np.ones_like(likely), np.ones(logs.horizon)
@@ -205,7 +210,7 @@ def problem_of(
     if isinstance(task, NamedActions):
         beyond = states_of(logs, trajectories, task.categories, left_out=task.covariates)
     given = Problem(logs, trajectories, log, model, fold, likely, nuisances, alike, support, beyond, None)
-    return following(given, probabilities)
+    return following(given._replace(chances=chances), probabilities)
 
 
 def following(
@@ -226,7 +231,7 @@ def following(
         squared_ratio=mean_squared_ratio(single, trajectories),
         support=_support(followed, trajectories)[: problem.logs.horizon],
         unseen=_unseen(probabilities, trajectories, problem.model),
-        unexplored=_unexplored(followed, problem.likely, trajectories),
+        unexplored=_unexplored(followed, problem, single),
         is_revealed=is_taken is not None,
         marginal=marginal,
         has_history=False,
@@ -270,18 +275,53 @@ def _one_hot(trajectories: TrajectoryArrays) -> Float[np.ndarray, "n T A"]:
 def _support(probabilities: Float[np.ndarray, "n T A"], trajectories: TrajectoryArrays) -> Float[np.ndarray, " T"]:
     """Share of the known actions of each stage that the policy would take; 1 if the log has no such stage."""
     known = trajectories.is_begun & trajectories.has_action
-    taken = np.take_along_axis(probabilities, trajectories.action[..., None], axis=2)[..., 0] > 0
+    taken = of_taken(probabilities, trajectories) > 0
     return np.where(known.any(axis=0), (known & taken).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 1.0)
 
 
-def _unexplored(
-    probabilities: Float[np.ndarray, "n T A"], likely: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays
-) -> float:
+def _unexplored(probabilities: Float[np.ndarray, "n T A"], problem: Problem, single: Float[np.ndarray, "n T"]) -> float:
     """Share of the completed stages in which the policy would take an action that the log could not take."""
+    trajectories, likely = problem.trajectories, problem.likely
     known = trajectories.is_completed & trajectories.has_action
-    taken = np.take_along_axis(probabilities, trajectories.action[..., None], axis=2)[..., 0]
-    other = np.where(known & (likely >= SURE), 1.0 - taken, 0.0)
-    return float(other.sum() / max(int(known.sum()), 1))
+    other = np.where(known & (likely >= SURE), 1.0 - of_taken(probabilities, trajectories), 0.0)
+    share = float(other.sum() / max(int(known.sum()), 1))
+    if problem.chances is None:
+        return share
+    return max(share, _not_stood_for(single, trajectories), _not_tried(probabilities, problem.chances, trajectories))
+
+
+CLEAR_LACK = 2.0
+"""Standard errors by which a sum is too small by more than chance."""
+
+
+def _not_stood_for(single: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays) -> float:
+    """Share of the stages that those which follow the policy do not represent; 0 unless it is clear.
+
+    π/b has mean 1 wherever the log may do what the policy does. An estimated b is above 0 also where the log never
+    does, but no stage there has the weight.
+    """
+    known = trajectories.is_begun & trajectories.has_action
+    lacking, num_known = np.where(known, 1.0 - single, 0.0).sum(axis=1), max(int(known.sum()), 1)
+    error = float(np.sqrt(((lacking - lacking.mean()) ** 2).sum()))
+    return float(lacking.sum()) / num_known if lacking.sum() > CLEAR_LACK * error else 0.0
+
+
+def _not_tried(
+    probabilities: Float[np.ndarray, "n T A"], chances: Float[np.ndarray, "n T A"], trajectories: TrajectoryArrays
+) -> float:
+    """Share of the stages in which the policy deviates from the log's most probable action; 0 if the log does, too.
+
+    An estimated b is smooth, so beside the border between two actions it is above 0 for both, even if the log follows a
+    rule without exploration. Then stages that deviate as the policy does are clearly fewer than half of what b says.
+    """
+    known = trajectories.is_begun & trajectories.has_action
+    is_other = np.arange(chances.shape[-1]) != chances.argmax(axis=-1)[..., None]
+    deviates = np.where(is_other & known[..., None], probabilities, 0.0)
+    each = (deviates * chances).sum(axis=-1)
+    expected, observed = float(each.sum()), float(of_taken(deviates, trajectories).sum())
+    error = float(np.sqrt(max(((deviates**2 * chances).sum(axis=-1) - each**2).sum(), 0.0)))
+    is_rule = observed < expected / 2.0 and expected - observed > CLEAR_LACK * error
+    return float(deviates.sum()) / max(int(known.sum()), 1) if is_rule else 0.0
 
 
 def _unseen(probabilities: Float[np.ndarray, "n T A"], trajectories: TrajectoryArrays, model: QModel) -> str | None:

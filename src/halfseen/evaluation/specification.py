@@ -77,7 +77,10 @@ def task_of(policy: Any, logs: Logs) -> Task:
         task = NamedActions(actions, covariates, getattr(policy, "categories", {}))
         return task.fitted(logs, policy.horizon)
     if logs.objects is None:
-        raise ArgumentError(f"{type(policy).__name__} decides nothing about named actions, which the log is of")
+        raise ArgumentError(
+            f"{type(policy).__name__} decides nothing about named actions, which the log is of; give a policy with "
+            "actions, horizon and probabilities, such as a learner's policy_"
+        )
     # Policies of named actions need no world.
     from halfseen.world.log_checks import robots_in
 

@@ -157,10 +157,12 @@ class _World:
     def num_stages(self, choices: Int[np.ndarray, "T S"]) -> float:
         """Harmonic mean of the completed stages in the cells that a policy visits."""
         visits, inverse, total = self.start, 0.0, 0.0
-        for choice in choices[:-1]:
-            n = self.going.n[np.arange(len(choice)) * self.going.num_actions + choice]
+        # Of a single stage, all stages are the last one.
+        means = self.going if self.horizon > 1 else self.every
+        for choice in choices[: max(self.horizon - 1, 1)]:
+            n = means.n[np.arange(len(choice)) * means.num_actions + choice]
             inverse, total = inverse + float((visits / np.maximum(n, 0.5)).sum()), total + float(visits.sum())
-            visits = self.going.following(choice)[1].T @ visits
+            visits = means.following(choice)[1].T @ visits
         return total / inverse if inverse > 0 else np.inf
 
     def _known(self, value: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:

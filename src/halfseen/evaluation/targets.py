@@ -13,7 +13,7 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, did_you_mean
 from halfseen.evaluation.logging_rule import NAME as LOGGING_RULE_NAME
-from halfseen.learning.discrete_policy import NamedActionPolicy, more_cautious
+from halfseen.learning.discrete_policy import NamedActionPolicy, checked_probabilities, more_cautious
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.task import Task
@@ -56,6 +56,8 @@ class FixedSequence:
 
     def probabilities(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """1 for the action of that stage (from 1)."""
+        if not 1 <= stage <= self.horizon:
+            raise ArgumentError(f"stage is {stage}; it lies in 1 to the horizon, {self.horizon}")
         is_taken = [name == self.sequence[stage - 1] for name in self.actions]
         return np.tile(np.array(is_taken, dtype=np.float64), (len(frame), 1))
 
@@ -240,7 +242,7 @@ class _KnownActions:
 
     def probabilities(self, frame: Any, stage: int) -> Float[np.ndarray, "m A"]:
         column = [self.policy.actions.index(name) for name in self.actions]
-        return np.asarray(self.policy.probabilities(frame, stage))[:, column]
+        return checked_probabilities(self.policy, frame, stage)[:, column]
 
 
 def baseline_probabilities(
@@ -272,7 +274,7 @@ def _unknown_action(policy: NamedActionPolicy, logs: Logs, task: NamedActions) -
     """The first action that the policy takes in a stage and that the task does not have."""
     for stage, frame in _stages(logs):
         possible = [name for name, is_it in zip(task.names, task.possible(stage), strict=True) if is_it]
-        taken = np.asarray(policy.probabilities(frame, stage)).max(axis=0) > 0
+        taken = checked_probabilities(policy, frame, stage).max(axis=0) > 0
         for name, is_taken in zip(policy.actions, taken, strict=True):
             if is_taken and name not in possible:
                 return f"{name} in stage {stage}"

@@ -207,7 +207,7 @@ def _between(low: float, high: float, of: str) -> str:
     if low < 0 < high:
         return f"between {-low:.3g} less and {high:.3g}{of} more"
     if high <= 0:
-        return f"between {abs(high):.3g} and {-low:.3g}{of} less"
+        return f"between {abs(high):.3g} and {abs(low):.3g}{of} less"
     return f"between {low:.3g} and {high:.3g}{of} more"
 
 

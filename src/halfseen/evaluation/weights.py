@@ -68,21 +68,26 @@ def logged_propensity(trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray
     return np.where(is_needed, trajectories.probability, 1.0)
 
 
-def estimated_propensity(
-    trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray, "n T"], blocks: Int[np.ndarray, " A"], is_pooled: bool
-) -> Float[np.ndarray, "n T"]:
-    """Estimate b(A_t | S_t) from the actions of all known stages, by one model or one per stage."""
+def estimated_chances(
+    trajectories: TrajectoryArrays, blocks: Int[np.ndarray, " A"], is_pooled: bool
+) -> Float[np.ndarray, "n T A"]:
+    """Estimate b(a | S_t) from the actions of all known stages, by one model or one per stage; 0 elsewhere."""
     known = trajectories.is_begun & trajectories.has_action
-    likely = np.ones(known.shape)
+    chances = np.zeros(trajectories.is_possible.shape)
     num_stages = known.shape[1]
     for stages in [slice(None)] if is_pooled else [slice(t, t + 1) for t in range(num_stages)]:
         rows = np.zeros_like(known)
         rows[:, stages] = known[:, stages]
         if rows.any():
-            taken = trajectories.action[rows]
-            each = conditional_logit(trajectories.features[rows], trajectories.is_possible[rows], taken, blocks)
-            likely[rows] = each[np.arange(len(taken)), taken]
-    return np.where(is_needed, likely, 1.0)
+            chances[rows] = conditional_logit(
+                trajectories.features[rows], trajectories.is_possible[rows], trajectories.action[rows], blocks
+            )
+    return chances
+
+
+def of_taken(values: Float[np.ndarray, "n T A"], trajectories: TrajectoryArrays) -> Float[np.ndarray, "n T"]:
+    """Values of the logged actions."""
+    return np.take_along_axis(values, trajectories.action[..., None], axis=2)[..., 0]
 
 
 @dataclass(frozen=True)
@@ -144,7 +149,7 @@ def single_ratios(
     probabilities: Float[np.ndarray, "n T A"], propensity: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays
 ) -> Float[np.ndarray, "n T"]:
     """π/b of each stage that began and whose action is known; 1 elsewhere."""
-    taken = np.take_along_axis(probabilities, trajectories.action[..., None], axis=2)[..., 0]
+    taken = of_taken(probabilities, trajectories)
     return np.where(trajectories.is_begun & trajectories.has_action, taken / propensity, 1.0)
 
 

@@ -7,7 +7,6 @@ them. Every function class and every model uses the same columns. True and false
 Usable columns are numbers, and text of few categories that occur in several trajectories.
 """
 
-import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -122,10 +121,10 @@ class Covariates:
         return np.array(numbers, dtype=np.float64).reshape(len(rows), -1)
 
     def is_known(self, name: str, value: Any) -> bool:
-        """Whether a value of a column is a finite Python number, or text of a known category."""
+        """Whether a value of a column is a Python number that `encode` takes, or text of a known category."""
         if name in self.categories:
             return type(value) is str and value in self.categories[name]
-        return type(value) in (bool, int, float) and abs(value) <= sys.float_info.max
+        return type(value) in (bool, int, float) and abs(value) <= LARGEST
 
     @property
     def _indicated(self) -> list[tuple[str | None, ...]]:

@@ -40,6 +40,35 @@ class NamedActionPolicy(Protocol):
         ...
 
 
+SUM_TOLERANCE = 1e-5
+"""Of probabilities in single precision."""
+
+
+def checked_probabilities(policy: NamedActionPolicy, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
+    """π(a | S) of any policy of named actions, checked; a row may be NaN if the policy does not know it.
+
+    Raises
+    ------
+    ArgumentError
+        The shape is wrong, or the probabilities of a row are negative or do not add up to 1.
+    """
+    given, shape = np.asarray(policy.probabilities(frame, stage), dtype=np.float64), (len(frame), len(policy.actions))
+    name = f"{type(policy).__name__}.probabilities, stage {stage}"
+    if given.shape != shape:
+        raise ArgumentError(
+            f"{name}: the shape is {given.shape}; give one row a state and one column an action: {shape}"
+        )
+    total = given.sum(axis=1)
+    wrong = (given < -SUM_TOLERANCE).any(axis=1) | (np.abs(total - 1.0) > SUM_TOLERANCE)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise ArgumentError(
+            f"{name}, row {row}: {given[row].tolist()} for {', '.join(map(str, policy.actions))} are no probabilities; "
+            "give numbers ≥ 0 that add up to 1"
+        )
+    return given
+
+
 class Valued(NamedTuple):
     """What a policy computes for each action, for each row of covariates."""
 
@@ -109,6 +138,8 @@ class DiscretePolicy:
     def q_values(self, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
         """Q̂ of every action in a stage (from 1), for each row of covariates; also of impossible ones.
 
+        The log says nothing of actions that it never completed: their Q̂ is no estimate (`is_possible` is False).
+
         Raises
         ------
         ArgumentError
@@ -169,6 +200,8 @@ class DiscretePolicy:
 
     def _valued(self, frame: Frame, stage: int) -> Valued:
         self._check_stage(stage)
+        if not (hasattr(frame, "columns") and hasattr(frame, "iloc")):
+            raise ArgumentError(f"the states are a {type(frame).__name__}; give a pandas DataFrame, one row a state")
         full = frame if self.filling is None else self.filling.of_states(frame, self.covariates)
         return self.valued(self.looks_at.encode(full), stage)
 

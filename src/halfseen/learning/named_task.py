@@ -1,5 +1,6 @@
 """The task of named actions: each action has its own coefficients on the same plain covariates of the stage."""
 
+from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -10,7 +11,7 @@ import pandas as pd
 from halfseen.errors import ArgumentError, LogError, did_you_mean
 from halfseen.learning.behaviour import seen_among
 from halfseen.learning.covariates import Categories, Covariates, learned_categories, unfit_covariates
-from halfseen.learning.discrete_policy import DiscretePolicy, NamedActionPolicy
+from halfseen.learning.discrete_policy import DiscretePolicy, NamedActionPolicy, checked_probabilities
 from halfseen.learning.rows import stage_places
 from halfseen.learning.task import ACTION, Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
@@ -41,7 +42,7 @@ class NamedActions:
     Raises
     ------
     ArgumentError
-        A stage has no action, or one twice; or the names are a single string.
+        A stage has no action, or one twice; a covariate is named twice; or the names are a single string.
     """
 
     actions: Actions
@@ -57,6 +58,9 @@ class NamedActions:
             raise ArgumentError(f"actions is {self.actions!r}; give a list of names, or one for each stage")
         if isinstance(self.covariates, str):
             raise ArgumentError(f"covariates is {self.covariates!r}; give a list of names")
+        twice = [name for name, count in Counter(self.covariates).items() if count > 1]
+        if twice:
+            raise ArgumentError(f"covariates names {twice[0]!r} twice; name it once")
         lists = self.actions if isinstance(self.actions, Mapping) else {"any": self.actions}
         for stage, names in lists.items():
             if len(names) == 0 or len(set(names)) < len(names):
@@ -184,11 +188,13 @@ class NamedActions:
         Raises
         ------
         ArgumentError
-            The policy is not a `NamedActionPolicy`, or takes an action that the task does not have.
+            The policy is not a `NamedActionPolicy`, takes an action that the task does not have, or gives numbers that
+            are no probabilities.
         """
         if not isinstance(policy, NamedActionPolicy):
             raise ArgumentError(
-                f"{type(policy).__name__} does not decide about named actions; give a policy of named actions"
+                f"{type(policy).__name__} does not decide about named actions; give a policy with actions, horizon and "
+                "probabilities, such as a learner's policy_"
             )
         unknown = [name for name in policy.actions if name not in self.names]
         if unknown:
@@ -200,7 +206,7 @@ class NamedActions:
         for stage in range(1, logs.horizon + 1):
             rows = (logs.stages["stage"] == stage).to_numpy()
             frame: Any = logs.stages[rows]
-            probabilities[trajectory[rows][:, None], stage - 1, column] = policy.probabilities(frame, stage)
+            probabilities[trajectory[rows][:, None], stage - 1, column] = checked_probabilities(policy, frame, stage)
         return probabilities
 
     def _refuse_too_large(self, shape: tuple[int, int, int]) -> None:

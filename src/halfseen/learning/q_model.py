@@ -59,6 +59,12 @@ def is_count(value: object) -> bool:
     return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= 1
 
 
+def check_seed(random_state: object) -> None:
+    """Refuse what is no seed; several generators are made of it."""
+    if random_state != 0 and not is_count(random_state):
+        raise ArgumentError(f"random_state is {random_state!r}; it is a seed, a whole number ≥ 0")
+
+
 @dataclass(frozen=True)
 class QModel:
     """How Q is fitted: the checked parameters of `CensoredQLearner`, and what is fitted before Q."""

@@ -1,7 +1,8 @@
 """Sampling variability of a learned policy, by the bootstrap over trajectories [Efron1979]_.
 
 Trajectories are resampled from the log with replacement. For each draw Ĝ, the weights and, if targets are imputed, the
-durations are estimated again, and Q is fitted as it was to the log; features and the grid of λ stay.
+durations are estimated again, and Q is fitted as it was to the log, but without pessimism; features and the grid of λ
+stay.
 """
 
 from contextlib import nullcontext
@@ -62,7 +63,8 @@ class QBootstrap:
 
     def decision_shares(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """Share of the draws in which each action is the best possible one; for named actions only."""
-        possible = np.where(self._flat.is_possible[stage - 1], self._draws(frame, stage), -np.inf)
+        draws = self._draws(frame, stage)
+        possible = np.where(self._flat.is_possible[stage - 1], draws, -np.inf)
         best = np.argmax(possible, axis=-1)
         return (best[..., None] == np.arange(possible.shape[-1])).mean(axis=0)
 
@@ -89,6 +91,8 @@ def bootstrap(
     workers: Workers = ALONE,
 ) -> QBootstrap:
     """Learn again from trajectories resampled with replacement.
+
+    Replicates are without pessimism, so the Q of a learner with it (the default) lies low in its interval.
 
     Parameters
     ----------

@@ -238,7 +238,8 @@ class _Cells:
         return table.reshape(self.shape)
 
     def _sum(self, of_row: Float[np.ndarray, " m"]) -> Float[np.ndarray, " c"]:
-        return np.bincount(self.of_row, of_row, len(self.id))
+        # Without rows it would be of whole numbers.
+        return np.bincount(self.of_row, of_row, len(self.id)).astype(np.float64)
 
     def _within_states(self, each: Float[np.ndarray, " c"], weight: Float[np.ndarray, " c"]) -> Float[np.ndarray, " S"]:
         """Weighted mean over the cells of each state; the mean of all for an unseen state."""

@@ -5,6 +5,7 @@ No more than a few thousand trajectories are in memory.
 """
 
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from datetime import datetime
@@ -311,7 +312,7 @@ def since(logs: Logs, when: str | int | datetime) -> Logs:
         is_kept = _from_date(logs.trajectories[dates[0]], when)
     if is_kept is None or not is_kept.any():
         there = " to ".join(shown(logs.trajectory_ids[k]) for k in (0, -1))
-        there += f", or a date by its column {dates[0]!r}" if dates else ""
+        there += f", or a date by its column {dates[0]!r}, as 2026-01-31" if dates else ""
         raise ArgumentError(f"since is {when!s:.80}, and the log has no such trajectory; give the name of one, {there}")
     return logs if is_kept.all() else logs.select(logs.trajectory_ids[is_kept])
 
@@ -323,7 +324,10 @@ def _from_name(logs: Logs, when: Any) -> Any:
 
 
 def _from_date(dates: Any, when: Any) -> Any:
-    date: Any = pd.to_datetime(when, errors="coerce") if isinstance(when, str | datetime) else pd.NaT
+    # 1700 may be meant as a trajectory, and 05.01.2026 as either day.
+    if not isinstance(when, datetime) and not re.match(r"\d{4}-\d{2}-\d{2}", str(when)):
+        return None
+    date: Any = pd.to_datetime(when, format="ISO8601", errors="coerce")
     if pd.isna(date):
         return None
     if (date.tzinfo is None) != (dates.dt.tz is None):

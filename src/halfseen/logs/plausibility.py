@@ -70,7 +70,9 @@ def excess_p(inverse: Rows, group: RowIds, num_groups: int, sizes: Float[np.ndar
 
 
 def imbalance_p(took: RowMask, probability: Rows, group: RowIds, num_groups: int) -> float:
-    """P-value for equal means of 1{A = a} / p in all groups, two-sided, with Bonferroni correction.
+    """Bernstein bound on the p-value for equal means of 1{A = a} / p in all groups, two-sided, after Bonferroni.
+
+    Stages that took another action with probability 1 are left out, as a had no chance there.
 
     Parameters
     ----------
@@ -83,13 +85,18 @@ def imbalance_p(took: RowMask, probability: Rows, group: RowIds, num_groups: int
     num_groups
         Number of groups G.
     """
-    from scipy.special import ndtr
-
-    ratio = np.where(took, 1.0 / probability, 0.0)
-    beyond = np.bincount(group, ratio - ratio.mean(), num_groups)
-    spread = np.bincount(group, ratio * np.maximum(ratio - 1.0, 0.0), num_groups)
-    z = np.abs(beyond) / np.sqrt(np.maximum(spread, 1.0))
-    return float(min(1.0, 2.0 * num_groups * ndtr(-z.max())))
+    # Where another action was taken, the chance of a is at most this. So 1{A = a} / p varies there even if a is so rare
+    # that no stage of a group took it.
+    chance = np.where(took, probability, 1.0 - probability)
+    took, group, chance = (each[chance > 0.0] for each in (took, group, chance))
+    if not len(chance):
+        return 1.0
+    ratio, sizes = np.where(took, 1.0 / chance, 0.0), np.bincount(group, minlength=num_groups)
+    beyond = np.abs(np.bincount(group, ratio - ratio.mean(), num_groups))
+    observed = (ratio * np.maximum(ratio - 1.0, 0.0)).mean() * sizes
+    spread = np.maximum(np.bincount(group, 1.0 / chance - 1.0, num_groups), observed)
+    bound = np.exp(-0.5 * beyond**2 / np.maximum(spread + (1.0 / chance).max() * beyond / 3.0, 1.0))
+    return float(min(1.0, 2.0 * num_groups * bound.min()))
 
 
 def untrue_probabilities(logs: Logs) -> Iterator[str]:

@@ -29,6 +29,7 @@ from typing import Any, Protocol, runtime_checkable
 from halfseen.errors import ArgumentError, HalfseenError, LogError, did_you_mean
 from halfseen.logs.recorder import LogRecorder
 from halfseen.logs.trajectory_recorder import TrajectoryRecorder
+from halfseen.reading import named_once
 
 MOST_BYTES = 1_000_000
 """A longer line is refused and discarded."""
@@ -96,7 +97,7 @@ def call_of(line: bytes) -> tuple[str, dict[str, Any]]:
             "instead of its contents"
         )
     try:
-        given = json.loads(line, parse_constant=_no_number, object_pairs_hook=_once)
+        given = json.loads(line, parse_constant=_no_number, object_pairs_hook=named_once)
     except (ValueError, RecursionError) as error:
         reason = "it is nested too deep" if isinstance(error, RecursionError) else error
         raise LogError(f"the line is not valid JSON ({reason}); give one JSON object a line") from error
@@ -139,13 +140,6 @@ def _bounded(lines: Lines) -> Iterator[bytes]:
 
 def _no_number(word: str) -> Any:
     raise ValueError(f"{word} is not a number")
-
-
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    values = dict(pairs)
-    if len(values) < len(pairs):
-        raise ValueError("a name is given twice in an object")
-    return values
 
 
 HOST = "127.0.0.1"

@@ -95,10 +95,12 @@ def tables_of(trajectories: Iterable["RecordedTrajectory"]) -> dict[str, Any]:
 
 
 def _with_whole_flags(stages: pa.Table) -> pa.Table:
-    """Set null flags of missing covariates to 0: the policy at that time had no such flag."""
+    """Set null flags of missing covariates to 0, or false: the policy at that time had no such flag."""
     for k, name in enumerate(stages.column_names):
-        if is_flag(name, stages.column_names) and stages[name].null_count:
-            stages = stages.set_column(k, name, stages[name].fill_null(0))
+        kind = stages[name].type
+        is_none = pa.types.is_boolean(kind) or pa.types.is_integer(kind) or pa.types.is_floating(kind)
+        if is_none and is_flag(name, stages.column_names) and stages[name].null_count:
+            stages = stages.set_column(k, name, stages[name].fill_null(pa.scalar(0).cast(kind)))
     return stages
 
 

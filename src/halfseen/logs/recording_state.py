@@ -264,14 +264,19 @@ def _row(
         row[name], kind = _plain(value, where, what)
         kinds[name] = _common_kind(before, kind, where, what)
     if known is not None and word != "column":
-        for name in (name for name in known if name not in kinds and not is_flag(name, kinds)):
+        for name in (name for name in known if name not in kinds and not _may_lack(name, known[name], kinds)):
             raise LogError(
                 f"{where}: {word} {_written(name)} is missing, though it was given before; give it in every row"
             )
-        for name in (name for name in kinds if name not in known and not is_flag(name, known)):
+        for name in (name for name in kinds if name not in known and not _may_lack(name, kinds[name], known)):
             raise LogError(f"{where}: {word} {_written(name)} was not given before; give the same in every row")
         kinds = {**known, **kinds}
     return row, kinds
+
+
+def _may_lack(name: str, kind: str, names: Kinds) -> bool:
+    """Whether a row may lack a covariate: a flag of missing values, which is then 0 or false."""
+    return is_flag(name, names) and kind in (_NUMBER, _FRACTION, _TRUTH)
 
 
 def _common_kind(before: str | None, now: str, where: str, what: str) -> str:

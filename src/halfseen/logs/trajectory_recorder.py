@@ -313,6 +313,10 @@ class TrajectoryRecorder:
                 f"trajectory {shown(self.name)}: cause {cause!r} is not a cause; give {', '.join(CAUSES)}, or why"
             )
         checked_text(cause, f"trajectory {shown(self.name)}", "cause")
+        if cause == STILL_RUNNING:
+            raise LogError(
+                f"trajectory {shown(self.name)}: {cause} marks a trajectory that goes on; say what cut this one"
+            )
 
     def _running(self) -> TrajectoryState:
         state = self._state

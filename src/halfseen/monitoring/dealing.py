@@ -14,9 +14,7 @@ import numpy as np
 
 from halfseen.monitoring.comparison import Counted, Courses, Kept, bound, counted
 
-ARM = "arm"
-"""Column of a log's trajectories: the arm that each was dealt to."""
-POLICY, RULE = "policy", "rule"
+POLICY = "policy"
 PROMOTES, HARMS = 0.025, 0.05
 """Probabilities of promoting a policy that is no better, and of a loss beyond its bound."""
 LARGEST_SHARE = 0.5
@@ -115,7 +113,8 @@ def standing(courses: Courses, terms: Terms, of: Counted | None = None, kept: Ke
     is_harm = len(of.excess) > 0 and bool(kept.best(of, 0.0, -1) >= -np.log(HARMS))
     verdict = _verdict(courses, terms, low, is_harm, worst)
     share = {"promoted": 1.0, "stopped": 0.0, "going on": _share(courses, terms, likely)}[verdict]
-    gain = float(of.bet_on @ of.excess / (of.bet_on @ of.share)) if len(of.excess) else np.nan
+    # Of trajectories that were not randomised, nothing is learned.
+    gain = float(of.bet_on @ of.excess / (of.bet_on @ of.share)) if of.bet_on.any() else np.nan
     more = _more(of) if verdict == "going on" else None
     known = [_finite(each) for each in (gain, low, high, worst)]
     # After the verdict, trajectories are no longer dealt.
@@ -141,7 +140,8 @@ def _verdict(courses: Courses, terms: Terms, low: float, is_harm: bool, worst: f
 def _share(courses: Courses, terms: Terms, likely: float) -> float:
     if likely >= 0.0:
         return LARGEST_SHARE
-    halved = np.log2(float(courses.totals().std()) / -likely) if np.isfinite(likely) and courses.num else 0.0
+    deviation = float(courses.totals().std()) if courses.num else 0.0
+    halved = np.log2(deviation / -likely) if np.isfinite(likely) and deviation > 0.0 else 0.0
     return min(LARGEST_SHARE, terms.share * 2.0 ** max(0, int(halved)))
 
 

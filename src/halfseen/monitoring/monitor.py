@@ -17,9 +17,9 @@ from halfseen.learning.discrete_policy import NamedActionPolicy
 from halfseen.learning.rows import trajectory_arrays
 from halfseen.learning.task import Encoded
 from halfseen.logs import Logs
+from halfseen.logs.columns import ARM, RULE
 from halfseen.monitoring import betting
 from halfseen.monitoring.answer import MEND_FIRST, Finding, Monitored, num_needed, relearning
-from halfseen.monitoring.dealing import ARM, RULE
 from halfseen.monitoring.diagnosis import (
     CHANGED_TOGETHER,
     SWAPPED,
@@ -269,9 +269,7 @@ def _own_outcomes(
 def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) -> Outcomes | None:
     """Outcome of each trajectory; None, with a note, if the earnings are not the policy's."""
     if promise.get("brings") is None:
-        notes.append(
-            "the folder does not keep what a trajectory can bring, so its promise is not watched; learn it again"
-        )
+        notes.append("the folder lacks what a trajectory can bring, so its promise is not watched; learn it again")
         return None
     if promise.get("value") is None:
         notes.append("nothing was promised: it was learned without a verdict, so what it earns is only shown")
@@ -279,6 +277,8 @@ def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) 
     if own < OWN:
         notes.append(f"{own:.0%} of the actions are the policy's, so what is earned here says nothing of its promise")
         return None
+    if not logs.is_finished.any():
+        notes.append("no trajectory has finished, so nothing is known of what it earns")
     low, high = promise["brings"]
     totals: Any = logs.stages.groupby("trajectory", sort=False)["reward"].sum().reindex(logs.trajectory_ids)
     total = totals.to_numpy(dtype=np.float64)

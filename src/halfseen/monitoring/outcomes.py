@@ -137,7 +137,7 @@ MORE = 1.5
 
 
 class Outcomes(NamedTuple):
-    """ξ and the range of each; NaN for the first trajectories, which are not weighted."""
+    """ξ and the range of each; NaN for the first trajectories, which are not weighted, and until one has finished."""
 
     values: Float[np.ndarray, " n"]
     lows: Float[np.ndarray, " n"]
@@ -216,8 +216,9 @@ class CensoredOutcomes:
         while begun < self.num:
             if begun >= self._next:
                 past = self._clocks.take(slice(0, begun))
-                self._model = self._fitted(past)
-                self._reach = max(1.0, float(self._model.weights(past).max()))
+                # While none has finished, nothing is known of what one brings.
+                self._model = self._fitted(past) if past.is_finished.any() else None
+                self._reach = max(1.0, float(self._model.weights(past).max())) if self._model else 1.0
                 self._next = max(int(MORE * begun), begun + 1)
             end = min(self.num, self._next)
             parts.append(self._weighed(slice(begun, end)))

@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 
 from halfseen.arrays import Points
 from halfseen.perception.clouds import Vector
-from halfseen.perception.objects import Labels, pixels_of
+from halfseen.perception.objects import HIGHEST_OBJECT_M, LEFT_OUT, NO_OBJECT, Labels, pixels_of
 from halfseen.perception.occlusion import covered, middle_depth_m
 from halfseen.perception.plane import Plane
 from halfseen.perception.range_image import PixelMask, Pixels, RangeImage
@@ -104,18 +104,18 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
     Parameters
     ----------
     sheets
-        Sheet of each pixel; −1 where there is none.
+        Sheet of each pixel, `NO_OBJECT` or `LEFT_OUT`.
     plane, image
         The table and the range image.
 
     Returns
     -------
     labels
-        Object of each pixel, largest first; −1 where there is none.
+        Object of each pixel, largest first; `NO_OBJECT` where there is none, `LEFT_OUT` where it is left out.
     solids
         Completed shape of each object.
     num_cut
-        Objects left out because the border of the image cuts them.
+        Number of objects that are cut; longer things that reach into the image, such as arms and walls, do not count.
 
     Raises
     ------
@@ -128,37 +128,39 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
     sheets, pieces = _pieces(sheets, plane, image)
     pieces = _merged(pieces, sheets, plane, image)
     of_sheet = pixels_of(sheets)
-    kept, num_cut = [], 0
+    kept, num_cut, table = [], 0, np.full(int(sheets.max()) + 3, NO_OBJECT)
+    table[LEFT_OUT] = LEFT_OUT
     for piece in pieces:
         pixels = np.sort(np.concatenate([of_sheet[sheet] for sheet in piece.sheets]))
         if not _is_object(pixels, piece, image):
             continue
         if _is_cut(pixels, sheets.shape):
-            num_cut += 1
+            table[list(piece.sheets)] = LEFT_OUT
+            num_cut += bool(np.ptp(piece.points_m, axis=0).max() < HIGHEST_OBJECT_M)
         else:
             kept.append((len(pixels), piece))
     kept.sort(key=lambda pair: -pair[0])
-    table = np.full(int(sheets.max()) + 2, -1)
     for index, (_, piece) in enumerate(kept):
         table[list(piece.sheets)] = index
     return table[sheets], tuple(piece.solid for _, piece in kept), num_cut
 
 
 def _pieces(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[Labels, list[_Piece]]:
-    """Make a piece of each sheet; a sheet that is not one vessel but shows two is divided."""
+    """Make a piece of each sheet; a sheet that is not one vessel but shows several is divided."""
     sheets, points_m, pieces = sheets.copy(), image.points_m.reshape(-1, 3), []
     of_sheet = pixels_of(sheets)
     sets = [plane.table_points(points_m[pixels]) for pixels in of_sheet]
     spread = [_spread(points) for points in sets]
     for sheet, (points, solid) in enumerate(zip(sets, completed(spread), strict=True)):
         is_doubtful = isinstance(solid, Hull) or solid.misfit > DOUBTFUL_VESSEL_MISFIT
-        is_first = divided(points) if len(points) >= FEWEST_POINTS and is_doubtful else None
-        if is_first is None or is_first.all() or not is_first.any():
+        part = divided(points) if len(points) >= FEWEST_POINTS and is_doubtful else None
+        if part is None or not np.ptp(part):
             pieces.append(_Piece((sheet,), spread[sheet], solid))
             continue
-        new = int(sheets.max()) + 1
-        sheets.ravel()[of_sheet[sheet][~is_first]] = new
-        pieces += [_Piece((sheet,), _spread(points[is_first])), _Piece((new,), _spread(points[~is_first]))]
+        for k in np.unique(part):
+            number = sheet if k == part.min() else int(sheets.max()) + 1
+            sheets.ravel()[of_sheet[sheet][part == k]] = number
+            pieces.append(_Piece((number,), _spread(points[part == k])))
     return sheets, pieces
 
 
@@ -330,7 +332,7 @@ def _contradiction(vessel: Vessel, own: PixelMask, sheets: Labels, plane: Plane,
     asked = asked[~own.ravel()[asked]]
     points_m = image.points_m.reshape(-1, 3)[asked]
     is_farther = points_m[:, 2] > middle_depth_m(vessel, plane, image, asked)
-    is_room = ~is_farther & np.isfinite(points_m[:, 2]) & (sheets.ravel()[asked] < 0)
+    is_room = ~is_farther & np.isfinite(points_m[:, 2]) & (sheets.ravel()[asked] == NO_OBJECT)
     is_room[is_room] = np.abs(vessel.outside_m(plane.table_points(points_m[is_room]))) > AT_WALL_M
     return float((is_farther | is_room).sum() / max(1, len(asked) + own.sum()))
 

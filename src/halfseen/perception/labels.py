@@ -119,7 +119,8 @@ class StainCounter:
     pixel is stained if it is darker than the object's median, and its hue is closer to that of a stain than to the
     object's own hue, the median over its pixels, by a margin that noise rarely exceeds. A stain on a glaze of the same
     brown is not detected. If half of an object's pixels are farther than the margin from that median, the object has a
-    pattern and no hue of its own to compare with stains; it is not labelled.
+    pattern and no hue of its own to compare with stains; it is not labelled. Nor is one with pixels so
+    wide that a stain has too few of them.
 
     Parameters
     ----------
@@ -129,20 +130,24 @@ class StainCounter:
         Red, green and blue of a stain, in any light.
     margin
         Required difference between a pixel's distances to its object's hue and to the stain's, in logarithms.
+    widest_m
+        Width of a pixel on an object beyond which the object is not labelled [m].
     """
 
     fewest_px: int = 12
     stain: tuple[int, int, int] = (98, 62, 30)
     margin: float = 0.15
+    widest_m: float = 0.004
 
     def __call__(self, view: View, cloud: Cloud) -> tuple[Label, ...]:
         """Label each object of a view from its colours."""
         picture = pixel_colours(view.image, cloud).reshape(-1, 3)
-        return tuple(self._label(seen, picture[seen.pixels]) for seen in view.objects)
+        return tuple(self._label(seen, picture[seen.pixels], view.image) for seen in view.objects)
 
-    def _label(self, seen: SeenObject, colours: UInt8[np.ndarray, "px 3"]) -> Label:
+    def _label(self, seen: SeenObject, colours: UInt8[np.ndarray, "px 3"], image: RangeImage) -> Label:
         num_stained = int(self.is_stained(colours).sum())
-        can_tell = len(colours) >= self.fewest_px and not self.is_patterned(colours)
+        width_m = np.median(image.depth_m.ravel()[seen.pixels]) / image.intrinsics[0, 0]
+        can_tell = len(colours) >= self.fewest_px and width_m <= self.widest_m and not self.is_patterned(colours)
         is_dirty = num_stained >= self.fewest_px if can_tell else None
         return Label(is_dirty, share_in_view(seen), num_stained, len(colours))
 

@@ -8,6 +8,7 @@ from scipy.spatial import ConvexHull
 from skimage.measure import label as measure_label
 
 from halfseen.arrays import Image, Rows
+from halfseen.errors import CloudError
 from halfseen.perception.plane import Plane, is_on_plane
 from halfseen.perception.range_image import Pixels, RangeImage
 from halfseen.shapes import Bool, Float, Int
@@ -20,8 +21,14 @@ HIGHEST_OBJECT_M = 0.5
 # Neighbouring pixels with a larger depth step show different surfaces; a wall seen at 80° steps by 6 px widths [m].
 DEPTH_STEP_M = 0.008
 DEPTH_STEP_SIGMAS = 3.0
-# Sheets with fewer pixels are flying pixels at edges [px].
-SMALLEST_SHEET_PX = 30
+# ... and of coarse pixels, more than this many widths of a pixel.
+DEPTH_STEP_PX = 2.0
+# Sheets with fewer pixels are flying pixels at edges [px]; of coarse pixels, those of this area [m²] are enough, and at
+# least the second number.
+SMALLEST_SHEET_PX, FEWEST_COARSE_PX = 30, 8
+COARSE_SHEET_M2 = 7.5e-4
+# Widest pixel on the table [m]: a cup has four of them side by side.
+WIDEST_PIXEL_M = 0.02
 # Cell size of the table's grid [m], and the widest gap without return (shadow, gloss) within the table [cells].
 TABLE_CELL_M = 0.01
 TABLE_GAP_CELLS = 3
@@ -32,6 +39,9 @@ OVERHANG_M = 0.01
 SMALLEST_SHARE_ON_TABLE = 0.5
 
 Labels = Int[np.ndarray, "H W"]
+# Labels of pixels that show no thing on or before the table, and of those of a thing that is left out: it is not on the
+# table, or the border of the image cuts it.
+NO_OBJECT, LEFT_OUT = -1, -2
 
 
 def sheets_on_table(image: RangeImage, plane: Plane) -> Labels:
@@ -45,11 +55,18 @@ def sheets_on_table(image: RangeImage, plane: Plane) -> Labels:
     Returns
     -------
     Labels
-        Sheet of each pixel, from 0, largest first; −1 where there is none.
+        Sheet of each pixel, from 0, largest first; `NO_OBJECT` where there is none, `LEFT_OUT` beside the table.
+
+    Raises
+    ------
+    CloudError
+        The pixels are too coarse for cups.
     """
     height_m = plane.height_m(image.points_m)
+    on_table = np.flatnonzero(is_on_plane(height_m, image))
+    _check_width(image, on_table)
     sheets = _continuous(image, _above(image, height_m))
-    hull = _table_outline(image, plane, height_m)
+    hull = _table_outline(image, plane, on_table)
     if hull is None:
         return sheets
     is_sheet = sheets >= 0
@@ -58,22 +75,10 @@ def sheets_on_table(image: RangeImage, plane: Plane) -> Labels:
     for a, b, c in hull:
         is_inside &= a * right + b * away + c < OVERHANG_M
     share = np.bincount(sheet[is_inside], minlength=int(sheets.max()) + 1) / np.maximum(np.bincount(sheet), 1)
-    return relabelled(sheets, np.flatnonzero(share >= SMALLEST_SHARE_ON_TABLE).tolist())
-
-
-def relabelled(labels: Labels, kept: list[int]) -> Labels:
-    """Renumber the kept labels from 0 in the given order; all others become −1.
-
-    Parameters
-    ----------
-    labels
-        Label of each pixel; −1 where there is none.
-    kept
-        Labels to keep.
-    """
-    table = np.full(int(labels.max()) + 2, -1)
-    table[kept] = np.arange(len(kept))
-    return table[labels]
+    is_kept = np.append(share >= SMALLEST_SHARE_ON_TABLE, False)
+    table = np.where(is_kept, np.cumsum(is_kept) - 1, LEFT_OUT)
+    table[-1] = NO_OBJECT
+    return table[sheets]
 
 
 def pixels_of(labels: Labels) -> list[Pixels]:
@@ -82,12 +87,22 @@ def pixels_of(labels: Labels) -> list[Pixels]:
     Parameters
     ----------
     labels
-        Label of each pixel; −1 where there is none.
+        Label of each pixel; negative where there is none.
     """
     pixels = np.flatnonzero(labels >= 0)
     label = labels.ravel()[pixels]
     order = np.argsort(label, kind="stable")
     return np.split(pixels[order], np.cumsum(np.bincount(label))[:-1]) if len(pixels) else []
+
+
+def _check_width(image: RangeImage, on_table: Pixels) -> None:
+    depth_m = float(np.median(image.depth_m.ravel()[on_table[::16]])) if len(on_table) else 0.0
+    width_m = depth_m / float(image.intrinsics[0, 0])
+    if width_m > WIDEST_PIXEL_M:
+        raise CloudError(
+            f"{image.name}: its points on the table are {1000 * width_m:.0f} mm apart, and cups take "
+            f"{1000 * WIDEST_PIXEL_M:.0f} mm at most; thin it less, or put the camera closer"
+        )
 
 
 def _above(image: RangeImage, height_m: Image) -> Pixels:
@@ -101,7 +116,9 @@ def _continuous(image: RangeImage, above: Pixels) -> Labels:
     if not len(above):
         return labels
     depth_m = image.depth_m.ravel()[above]
+    width_m = depth_m / image.intrinsics[0, 0]
     step_m = np.maximum(DEPTH_STEP_M, DEPTH_STEP_SIGMAS * image.noise_m.ravel()[above])
+    step_m = np.maximum(step_m, DEPTH_STEP_PX * width_m)
     edges = []
     for next_px in (1, width):
         beside = np.minimum(np.searchsorted(above, above + next_px), len(above) - 1)
@@ -111,7 +128,8 @@ def _continuous(image: RangeImage, above: Pixels) -> Labels:
         edges.append(np.stack([np.flatnonzero(is_joined), beside[is_joined]]))
     pairs = np.concatenate(edges, axis=1)
     graph = coo_matrix((np.ones(pairs.shape[1]), (pairs[0], pairs[1])), shape=(len(above), len(above)))
-    labels.ravel()[above] = _largest_first(connected_components(graph, directed=False)[1], SMALLEST_SHEET_PX)
+    fewest_px = int(np.clip(COARSE_SHEET_M2 / np.median(width_m[::16]) ** 2, FEWEST_COARSE_PX, SMALLEST_SHEET_PX))
+    labels.ravel()[above] = _largest_first(connected_components(graph, directed=False)[1], fewest_px)
     return labels
 
 
@@ -125,10 +143,10 @@ def _largest_first(labels: Int[np.ndarray, " above"], fewest_px: int) -> Int[np.
     return table[labels]
 
 
-def _table_outline(image: RangeImage, plane: Plane, height_m: Image) -> Float[np.ndarray, "edges 3"] | None:
+def _table_outline(image: RangeImage, plane: Plane, on_table: Pixels) -> Float[np.ndarray, "edges 3"] | None:
     """Half-planes ``a·x + b·y + c ≤ 0`` of the convex outline of the largest connected piece of table."""
-    pixels = np.flatnonzero(is_on_plane(height_m, image))
-    right_m, away_m = _near(np.ascontiguousarray(plane.across_m(image.points_m.reshape(-1, 3).take(pixels, axis=0)).T))
+    points_m = image.points_m.reshape(-1, 3).take(on_table, axis=0)
+    right_m, away_m = _near(np.ascontiguousarray(plane.across_m(points_m).T))
     right, num_right, low_right = _cells(right_m)
     away, num_away, low_away = _cells(away_m)
     shape, low = (num_right, num_away), np.array([low_right, low_away])

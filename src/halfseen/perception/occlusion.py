@@ -12,7 +12,7 @@ from scipy.spatial import ConvexHull, QhullError
 from skimage.measure import points_in_poly
 
 from halfseen.arrays import Hides, PerObject, Points, Rows
-from halfseen.perception.objects import Labels
+from halfseen.perception.objects import NO_OBJECT, Labels
 from halfseen.perception.plane import Plane
 from halfseen.perception.range_image import Pixels, RangeImage
 from halfseen.perception.solids import Hull, Vessel
@@ -148,7 +148,7 @@ def extended(i: int, vessel: Vessel, labels: Labels, plane: Plane, image: RangeI
     vessel
         The visible part of the vessel.
     labels
-        Object of each pixel; −1 where there is none.
+        Object of each pixel, `NO_OBJECT` or `LEFT_OUT`.
     plane, image
         The table and the range image.
     """
@@ -165,7 +165,7 @@ def extended(i: int, vessel: Vessel, labels: Labels, plane: Plane, image: RangeI
         longest = _prolonged(vessel, end, num_steps)
         asked = covered(longest, plane, image)
         label, depth_m = labels.ravel()[asked], image.depth_m.ravel()[asked]
-        hiding = (label >= 0) & (label != i) & (depth_m < middle_depth_m(longest, plane, image, asked))
+        hiding = (label != NO_OBJECT) & (label != i) & (depth_m < middle_depth_m(longest, plane, image, asked))
         if not hiding.any():
             return 0
         is_hiding, is_against, is_before, is_added = np.zeros((4, labels.size), dtype=bool)
@@ -232,7 +232,7 @@ def occlusions(labels: Labels, solids: Sequence[Vessel | Hull], plane: Plane, im
     Parameters
     ----------
     labels
-        Object of each pixel; −1 where there is none.
+        Object of each pixel, `NO_OBJECT` or `LEFT_OUT`.
     solids
         Completed shape of each object.
     plane, image
@@ -282,7 +282,7 @@ def _hidden(i: int, is_covered: SeenMask, middles: Float[np.ndarray, "N px"], se
     """Pixels of a solid that show a nearer object, or that have no return and lie behind a nearer solid."""
     pixels = np.flatnonzero(is_covered)
     label, depth, middle = seen.labels[pixels], seen.points_m[pixels, 2], middles[i, pixels]
-    is_before = (label >= 0) & (label != i) & (depth < middle)
+    is_before = (label != NO_OBJECT) & (label != i) & (depth < middle)
     is_missed = ~seen.is_return[pixels]
     # The depth of other solids is infinite at pixels that they do not cover.
     is_before[is_missed] |= (middles[:, pixels[is_missed]] < middle[is_missed]).any(axis=0)
@@ -295,7 +295,7 @@ def _own(i: int, solid: Vessel | Hull, is_covered: SeenMask, seen: _Seen, plane:
     """Pixels of an object that are visible or have no return."""
     own = (seen.labels == i) | (is_covered & ~seen.is_return)
     if isinstance(solid, Vessel):
-        low = is_covered & (seen.labels < 0) & seen.is_return
+        low = is_covered & (seen.labels == NO_OBJECT) & seen.is_return
         own[low] = np.abs(solid.outside_m(plane.table_points(seen.points_m[low]))) < OWN_M
     return own
 

@@ -21,6 +21,8 @@ INTRINSICS_COMMENT = "# intrinsics"
 COMMENTS = (INTRINSICS_COMMENT, f"# {FRAME_COMMENT}")
 
 
+KINDS_OF_DATA = ("ascii", "binary", "binary_compressed")
+
 # Limits of a header, which has a dozen lines.
 MOST_HEADER_LINES, MOST_LINE_BYTES = 1000, 65_536
 # Largest number of values in one field; the longest point descriptors have a few hundred.
@@ -99,14 +101,20 @@ def _header(file: BufferedReader, path: Path) -> dict[str, str]:
         comment = next((each for each in COMMENTS if text.startswith(each)), None)
         if comment is not None:
             header[comment] = text.removeprefix(comment).strip()
-        elif not text.startswith("#"):
-            key, _, value = text.partition(" ")
-            header[key] = value.strip()
-        if text.startswith("DATA"):
-            return header
+        elif text and not text.startswith("#"):
+            key, *value = text.split(maxsplit=1)
+            header[key] = value[0] if value else ""
+        if "DATA" in header:
+            return _checked_data(header, path)
         if not line:
             break
     raise CloudError(f"{path}: has no DATA line; it is no PCD file or was cut short in the header")
+
+
+def _checked_data(header: dict[str, str], path: Path) -> dict[str, str]:
+    if header["DATA"] not in KINDS_OF_DATA:
+        raise CloudError(f"{path}: DATA is {header['DATA'][:40]!r}; it is one of {', '.join(KINDS_OF_DATA)}")
+    return header
 
 
 def _whole(header: dict[str, str], key: str, path: Path) -> int:

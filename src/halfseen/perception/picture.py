@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from halfseen.perception.view import View, most_hidden
+from halfseen.perception.view import View, hidden_by_others, most_hidden
 from halfseen.shapes import Float
 from halfseen.writing import write_file
 
@@ -44,7 +44,9 @@ def sentence(view: View) -> str:
     if worst.occlusion < SMALLEST_ARROW_SHARE:
         return f"{start}; nothing hides {'another' if num > 1 else 'it'}."
     hider = int(np.argmax(view.hides[worst.id]))
-    return f"{start}; object {worst.id} is hidden most, by object {hider} ({worst.occlusion:.2f})."
+    is_other = hidden_by_others(view, worst) > view.hides[worst.id, hider]
+    by = "something cut by the image border or beside the table" if is_other else f"object {hider}"
+    return f"{start}; object {worst.id} is hidden most, by {by} ({worst.occlusion:.2f})."
 
 
 def draw(view: View, path: str | os.PathLike[str]) -> None:

@@ -133,7 +133,8 @@ def find_table(image: RangeImage) -> Plane:
     if not families or max(families) <= 0:
         raise CloudError(
             f"{image.name}: no table plane: no plane that faces up holds {SMALLEST_PLANE_SHARE:.0%} of the "
-            f"{int(image.is_return.sum())} returns; point the camera at the table from above"
+            f"{int(image.is_return.sum())} returns; point the camera at the table from above, and give points with x "
+            "right, y down and z forward, or a viewpoint"
         )
     lead, _ = planes[int(np.argmax(families))]
     members = [

@@ -27,6 +27,11 @@ VIRTUAL_PIXEL_SCALE = 1.3
 NUM_RAYS_MEASURED = 4000
 # Longest side of a virtual image [px]: a single stray point must not make an image of gigabytes.
 LARGEST_VIRTUAL_SIDE_PX = 1280
+# Points farther out than these percentiles [%] by more than a share of the image's side are stray.
+NEARLY_ALL_PERCENT, STRAY_SHARE = (0.1, 99.9), 0.1
+# Of the returns in a row or column, at least this share has another as neighbour. On a grid of rays, .98 have; points
+# that were thinned at random or by voxels leave gaps, and pixels are widened by this factor until the gaps close.
+NEIGHBOUR_SHARE, WIDENING = 0.95, 1.25
 
 PixelPoints = Float[np.ndarray, "H W 3"]
 PixelMask = Bool[np.ndarray, "H W"]
@@ -147,24 +152,50 @@ def _virtual(cloud: Cloud, sensor: DepthSensor, points: Points) -> RangeImage:
     in_front = seen[:, 2] > 0
     if not in_front.all():
         rows, seen = rows[in_front], seen[in_front]
-    slope = seen[:, :2] / seen[:, 2:]
-    low, high = np.array([np.percentile(each, [0.1, 99.9]) for each in np.ascontiguousarray(slope.T)]).T
-    pitch = max(_ray_pitch(slope) * VIRTUAL_PIXEL_SCALE, float((high - low).max()) / LARGEST_VIRTUAL_SIDE_PX)
-    if not np.isfinite(pitch):
-        raise CloudError(f"{cloud.name}: all points lie on one ray from the camera; check its calibration and its lens")
-    low = low - 4 * pitch
-    num_columns, num_rows = np.ceil((high + 4 * pitch - low) / pitch).astype(int).tolist()
-    column, row = np.floor((slope.T - low[:, None]) / pitch).astype(np.int64)
-    inside = np.flatnonzero((column >= 0) & (column < num_columns) & (row >= 0) & (row < num_rows))
-    flat, seen = (row * num_columns + column)[inside], np.take(seen, inside, axis=0)
-    image = np.full((num_rows * num_columns, 3), np.nan)
+    slope = np.ascontiguousarray((seen[:, :2] / seen[:, 2:]).T)
+    (flat, inside), shape, K = _pixel_grid(slope, cloud.name)
+    seen = np.take(seen, inside, axis=0)
+    image = np.full((shape[0] * shape[1], 3), np.nan)
     nearest = _nearest(flat, seen, len(image))
     image[flat[nearest]] = np.take(seen, nearest, axis=0)
     pixel_of_point = np.full(len(points), -1, dtype=np.int64)
     pixel_of_point[rows[inside]] = flat
-    K = np.array([[1 / pitch, 0, -low[0] / pitch - 0.5], [0, 1 / pitch, -low[1] / pitch - 0.5], [0, 0, 1]])
-    shaped = image.reshape(num_rows, num_columns, 3)
-    return RangeImage(shaped, K, pixel_of_point, cloud.camera_axes @ turned, True, cloud.name, sensor)
+    axes = cloud.camera_axes @ turned
+    return RangeImage(image.reshape(*shape, 3), K, pixel_of_point, axes, True, cloud.name, sensor)
+
+
+def _pixel_grid(
+    slope: Float[np.ndarray, "2 n"], name: str
+) -> tuple[tuple[Pixels, Int[np.ndarray, " m"]], tuple[int, int], Intrinsics]:
+    """Pixel of each ray in the image and the number of that ray; rows and columns of the image; its pinhole matrix."""
+    low, high = np.percentile(slope, NEARLY_ALL_PERCENT, axis=1)
+    stray = STRAY_SHARE * (high - low)
+    low, high = np.maximum(slope.min(axis=1), low - stray), np.minimum(slope.max(axis=1), high + stray)
+    pitch = max(_ray_pitch(slope.T) * VIRTUAL_PIXEL_SCALE, float((high - low).max()) / LARGEST_VIRTUAL_SIDE_PX)
+    if not np.isfinite(pitch):
+        raise CloudError(f"{name}: all points lie on one ray from the camera; check its calibration and its lens")
+    while True:
+        first = low - 4 * pitch
+        num_columns, num_rows = np.ceil((high + 4 * pitch - first) / pitch).astype(int).tolist()
+        column, row = np.floor((slope - first[:, None]) / pitch).astype(np.int64)
+        inside = np.flatnonzero((column >= 0) & (column < num_columns) & (row >= 0) & (row < num_rows))
+        flat = (row * num_columns + column)[inside]
+        if _is_filled(flat, (num_rows, num_columns)):
+            K = np.array([[1 / pitch, 0, -first[0] / pitch - 0.5], [0, 1 / pitch, -first[1] / pitch - 0.5], [0, 0, 1]])
+            return (flat, inside), (num_rows, num_columns), K
+        pitch *= WIDENING
+
+
+def _is_filled(flat: Pixels, shape: tuple[int, int]) -> bool:
+    """Whether the next pixel of a row or column with a return is nearly always the neighbour."""
+    is_return = np.zeros(shape, dtype=bool)
+    is_return.ravel()[flat] = True
+    for image in (is_return, is_return.T):
+        num_neighbours = np.count_nonzero(image[:, :-1] & image[:, 1:])
+        num_others = np.count_nonzero(image) - np.count_nonzero(image.any(axis=1))
+        if num_neighbours < NEIGHBOUR_SHARE * num_others:
+            return False
+    return True
 
 
 def _nearest(pixel: Pixels, seen: Points, num_pixels: int) -> Int[np.ndarray, " m"]:
@@ -181,12 +212,15 @@ def _nearest(pixel: Pixels, seen: Points, num_pixels: int) -> Int[np.ndarray, " 
 
 
 def _virtual_rotation(points: Points) -> Float[np.ndarray, "3 3"]:
-    """Axes of the virtual camera: the camera frame if all points are in front of it, else axes towards their middle."""
+    """Axes of the virtual camera: the camera frame if all points are in front of it, else axes towards their middle.
+
+    Then z is up or, if the points lie along −z as in OpenGL, y is.
+    """
     is_return = np.isfinite(points[:, 2])
     if (points[is_return, 2] > 0).all():
         return np.eye(3)
     forward = _unit(np.median(points[is_return], axis=0))
-    down = np.array([0.0, 0.0, -1.0]) if abs(forward[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    down = np.array([0.0, 0.0, -1.0] if abs(forward[2]) < 0.9 else [0.0, np.sign(forward[2]), 0.0])
     right = _unit(np.cross(down, forward))
     return np.stack([right, np.cross(forward, right), forward], axis=1)
 

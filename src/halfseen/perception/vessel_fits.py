@@ -5,6 +5,7 @@ Cups may stand so close together that there is no depth step between them.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from halfseen.perception.walls import (
     StandingWalls,
     Walls,
 )
-from halfseen.shapes import Float
+from halfseen.shapes import Float, Int
 
 # Prior spread of a lying vessel's axis about its pose with the wall on the table: height [m], tilt [rad]. Errors of
 # neighbouring points are correlated, so the spreads are set to a fifth of their real values.
@@ -188,10 +189,16 @@ WIDEST_RADIUS_M = 0.06
 APART_SHARE = 0.8
 # Fewest points that can distinguish two vessels from one.
 FEWEST_POINTS = 300
+# Largest number of vessels in a sheet. More than two must be cups that stand: as high and as wide [m], and of a smaller
+# misfit, as small parts of boxes and tools are round, too. The largest misfit must fall by this factor in a round.
+MOST_VESSELS, POINTS_OF_EACH, MOST_ROUNDS = 5, 100, 6
+HEIGHT_OF_SEVERAL_M, WIDTH_OF_SEVERAL_M = (0.045, 0.17), 0.1
+SMALLEST_RADIUS_OF_SEVERAL_M = 0.02
+WORST_MISFIT_OF_SEVERAL, CONVERGING = 0.5, 0.9
 
 
-def divided(points_m: Points) -> RowMask | None:
-    """Divide the points of a sheet between two vessels.
+def divided(points_m: Points) -> Int[np.ndarray, " n"] | None:
+    """Divide the points of a sheet between vessels.
 
     Parameters
     ----------
@@ -200,11 +207,59 @@ def divided(points_m: Points) -> RowMask | None:
 
     Returns
     -------
-    RowMask or None
-        True for the points of the first vessel; None if the sheet does not show two.
+    numpy.ndarray or None
+        Number of the vessel of each point; None if the sheet does not show two or more.
     """
     if len(points_m) < FEWEST_POINTS:
         return None
+    if (is_first := _two(points_m)) is not None:
+        return np.where(is_first, 0, 1)
+    *across_m, height_m = np.ptp(points_m, axis=0)
+    if max(across_m) < WIDTH_OF_SEVERAL_M or not HEIGHT_OF_SEVERAL_M[0] < height_m < HEIGHT_OF_SEVERAL_M[1]:
+        return None
+    found = (_several(points_m, num) for num in range(3, MOST_VESSELS + 1))
+    return next((each for each in found if each is not None), None)
+
+
+def _several(points_m: Points, num: int) -> Int[np.ndarray, " n"] | None:
+    sample, largest = thinned(np.random.default_rng(0).permutation(points_m), POINTS_OF_EACH * num), np.inf
+    which = _clustered(sample[:, :2], num)
+    for _ in range(MOST_ROUNDS):
+        if np.bincount(which, minlength=num).min() < SMALLEST_SHARE / num * len(sample):
+            return None
+        vessels = standing_vessels([sample[which == k] for k in range(num)])
+        before, largest = largest, max(vessel.misfit for vessel in vessels)
+        if largest > max(CONVERGING * before, WORST_MISFIT_OF_SEVERAL):
+            return None
+        now = np.argmin([_distance_m(vessel, sample) for vessel in vessels], axis=0)
+        if (now == which).all():
+            break
+        which = now
+    is_cup = all(_is_cup(vessel) for vessel in vessels) and all(_are_two(*pair) for pair in combinations(vessels, 2))
+    return np.argmin([_distance_m(vessel, points_m) for vessel in vessels], axis=0) if is_cup else None
+
+
+def _is_cup(vessel: Vessel) -> bool:
+    return (
+        vessel.misfit < WORST_MISFIT_OF_SEVERAL
+        and vessel.radius_m > SMALLEST_RADIUS_OF_SEVERAL_M
+        and vessel.ends_m[1] - vessel.ends_m[0] > HEIGHT_OF_SEVERAL_M[0]
+    )
+
+
+def _clustered(across_m: Float[np.ndarray, "n 2"], num: int) -> Int[np.ndarray, " n"]:
+    """Cluster points by k-means, from points far apart."""
+    seeds = [int(np.linalg.norm(across_m - across_m.mean(axis=0), axis=1).argmax())]
+    while len(seeds) < num:
+        seeds.append(int(np.linalg.norm(across_m[:, None] - across_m[seeds], axis=2).min(axis=1).argmax()))
+    middles = across_m[seeds]
+    for _ in range(MOST_ROUNDS):
+        which = np.linalg.norm(across_m[:, None] - middles, axis=2).argmin(axis=1)
+        middles = np.stack([across_m[which == k].mean(axis=0) for k in range(num)])
+    return which
+
+
+def _two(points_m: Points) -> RowMask | None:
     sample = thinned(np.random.default_rng(0).permutation(points_m), 500)
     across = sample[:, :2] - sample[:, :2].mean(axis=0)
     is_first = across @ np.linalg.svd(across, full_matrices=False)[2][0] > 0

@@ -19,7 +19,7 @@ from halfseen.arrays import Hides, Points
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import XTION, Cloud, DepthSensor, Vector
 from halfseen.perception.grouping import objects_of_sheets
-from halfseen.perception.objects import Labels, pixels_of, sheets_on_table
+from halfseen.perception.objects import NO_OBJECT, Labels, pixels_of, sheets_on_table
 from halfseen.perception.occlusion import extended, occlusions
 from halfseen.perception.plane import Plane, find_table
 from halfseen.perception.range_image import Pixels, RangeImage, range_image
@@ -49,7 +49,8 @@ class SeenObject:
     size_m
         Extent of its visible part: to the camera's right, away from the camera, and up [m].
     occlusion
-        Share of its silhouette that is hidden behind nearer objects, in [0, 1].
+        Share of its silhouette that is hidden behind nearer objects, those included that the image border cuts or that
+        are not on the table, in [0, 1].
     num_points
         Number of its points in the cloud.
     is_upright
@@ -93,7 +94,8 @@ class View:
         Transforms of homogeneous points from the table (right, away, height [m]) to the frame of the image's camera,
         and to that of the cloud.
     num_cut
-        Number of objects left out because the image border cuts them; their hidden share is unknown.
+        Number of objects left out because the image border cuts them; their hidden share is unknown, and what they
+        hide counts in `SeenObject.occlusion` only.
     name
         Where the cloud comes from.
     """
@@ -186,7 +188,7 @@ def _perceived(cloud: Cloud, sensor: DepthSensor) -> View:
         table,
         objects,
         found.hides,
-        labels,
+        np.maximum(labels, NO_OBJECT),
         found.silhouettes,
         image,
         from_table,
@@ -200,6 +202,35 @@ def _is_upright(solid: Vessel | Hull, extent_m: Vector, height_m: float) -> bool
     if isinstance(solid, Vessel):
         return solid.is_upright
     return bool(height_m > UPRIGHT_ASPECT * max(extent_m[:2]))
+
+
+SMALLEST_OTHER_SHARE = 0.02
+"""Smaller hidden shares that no object of the view explains are rounding of silhouettes."""
+
+
+def hidden_by_others(view: View, seen: SeenObject) -> float:
+    """Return the share of an object's silhouette that only things hide that are not among the objects of the view.
+
+    Parameters
+    ----------
+    view, seen
+        The view, and an object of it.
+    """
+    return max(0.0, seen.occlusion - float(view.hides[seen.id].sum()))
+
+
+def left_out_in_words(view: View) -> str:
+    """Describe what a decision on the objects of a view misses; an empty string if nothing.
+
+    Parameters
+    ----------
+    view
+        The view to check.
+    """
+    hidden = [f"{seen.id}" for seen in view.objects if hidden_by_others(view, seen) >= SMALLEST_OTHER_SHARE]
+    cut = f"left out: {view.num_cut} that the image border cuts" if view.num_cut else ""
+    by = f"what is cut by the image border or beside the table hides {', '.join(hidden)}, which counts as in view"
+    return "; ".join([*([cut] if cut else []), *([by] if hidden else [])])
 
 
 def most_hidden(objects: Sequence[SeenObject]) -> SeenObject:

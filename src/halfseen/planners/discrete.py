@@ -28,6 +28,7 @@ from halfseen.shapes import Float, Int
 
 _ROW_SUM = 1e-8
 _SAME = 1e-10
+"""Of the unit of the rewards."""
 Belief = Float[np.ndarray, " S"]
 Vectors = Float[np.ndarray, "v S"]
 
@@ -60,14 +61,19 @@ class DiscreteSolution:
 
     def value_of(self, belief: ArrayLike, steps_to_go: int | None = None) -> float:
         """Value of a belief, by default with the whole horizon to go."""
-        stage, beliefs = self._stage(steps_to_go), np.asarray(belief, dtype=np.float64)
-        return float((stage.vectors @ beliefs).max())
+        return float(self._values(belief, steps_to_go).max())
 
     def action_of(self, belief: ArrayLike, steps_to_go: int | None = None) -> int:
         """Best action at a belief; the lowest in a tie."""
-        stage, beliefs = self._stage(steps_to_go), np.asarray(belief, dtype=np.float64)
-        values = stage.vectors @ beliefs
-        return int(stage.actions[values >= values.max() - _SAME].min())
+        stage, values = self._stage(steps_to_go), self._values(belief, steps_to_go)
+        return int(stage.actions[values >= values.max() - _SAME * _unit(stage.vectors)].min())
+
+    def _values(self, belief: ArrayLike, steps_to_go: int | None) -> Float[np.ndarray, " v"]:
+        vectors, known = self._stage(steps_to_go).vectors, np.asarray(belief, dtype=np.float64)
+        is_distribution = known.shape == vectors.shape[1:] and known.min() >= 0.0 and abs(known.sum() - 1.0) <= _ROW_SUM
+        if not is_distribution:
+            raise ArgumentError(f"belief is {belief}; give each of {vectors.shape[1]} states a probability, 1 in all")
+        return vectors @ known
 
     def _stage(self, steps_to_go: int | None) -> Stage:
         steps = len(self.stages) if steps_to_go is None else steps_to_go
@@ -132,12 +138,20 @@ def solve_discrete(
         raise ArgumentError(f"discount is {discount}; give a number in (0, 1]")
     if horizon < 1:
         raise ArgumentError(f"horizon is {horizon}; give at least 1")
-    vectors, stages = np.zeros((1, num_states)), []
+    # In units of the rewards, which are a power of two, so that tolerances suit them and nothing is rounded.
+    vectors, stages, unit = np.zeros((1, num_states)), [], _unit(reward)
     for _ in range(horizon):
-        stages.append(_backed_up(vectors, transition, observation, reward, discount))
-        vectors = stages[-1].vectors
+        found = _backed_up(vectors, transition, observation, reward / unit, discount)
+        vectors = found.vectors
+        stages.append(Stage(unit * vectors, found.actions))
     solution = DiscreteSolution(0.0, 0, tuple(stages))
     return replace(solution, value=solution.value_of(belief), action=solution.action_of(belief))
+
+
+def _unit(values: np.ndarray) -> float:
+    """The power of two at or below the largest size; 1 if all are 0."""
+    largest = float(np.abs(values).max())
+    return 2.0 ** np.floor(np.log2(largest)) if largest > 0.0 else 1.0
 
 
 def _backed_up(

@@ -258,16 +258,16 @@ def known_covariates(policy: DiscretePolicy, state: Mapping[str, Any], where: st
     return {name: (str if name in texts else float)(state[name]) for name in policy.covariates}
 
 
-def checked_stage(stage: Any, horizon: int, where: str) -> int:
+def checked_stage(stage: Any, latest: int, where: str, what: str = "the policy's horizon, ") -> int:
     """Convert a stage to a number.
 
     Raises
     ------
     PolicyError
-        The policy has no such stage.
+        It is no whole number from 1 to `latest`, which is `what`.
     """
-    if isinstance(stage, bool) or not (hasattr(stage, "__index__") and 1 <= int(stage) <= horizon):
-        raise PolicyError(f"{where}: stage is {stage}; it is a whole number from 1 to the policy's horizon, {horizon}")
+    if isinstance(stage, bool) or not (hasattr(stage, "__index__") and 1 <= int(stage) <= latest):
+        raise PolicyError(f"{where}: stage is {stage}; it is a whole number from 1 to {what}{latest:,}")
     return int(stage)
 
 

@@ -1,7 +1,8 @@
 """Deciders from policies, stored or in memory; and observations from files."""
 
+import csv
 from collections.abc import Callable, Collection
-from io import BytesIO
+from io import BytesIO, StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -131,7 +132,7 @@ def read_observation(
 def _read_covariates(stored: StoredPolicy, file: Path, stage: int | None = None) -> NamedObservation:
     """Read the covariates of one stage, as for `read_observation`."""
     policy = stored.policy
-    if file.suffix not in STATE_FILES:
+    if file.suffix.lower() not in STATE_FILES:
         raise PolicyError(
             f"{file}: the policy is of named actions and looks at {covariates_in_words(policy)}, not at clouds; give "
             "them as .json or .csv"
@@ -155,13 +156,25 @@ def _cell(value: Any, categories: Collection[str] | None) -> Any:
 
 def _read_states(file: Path, texts: Categories) -> list[dict[str, Any]]:
     try:
-        if file.suffix == ".json":
+        if file.suffix.lower() == ".json":
             state = json_of(read_text(file))
             return [state] if isinstance(state, dict) else []
         import pandas as pd
 
+        _check_cells(read_text(file))
         exact: Any = {"float_precision": "round_trip", "converters": dict.fromkeys(texts, str)}
         states = pd.read_csv(BytesIO(read_bytes(file)), **exact).to_dict("records")
         return [{name: _cell(value, texts.get(name)) for name, value in each.items()} for each in states]
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise PolicyError(f"{file}: it cannot be read ({reason_of(error)}); give one state as .json or .csv") from error
+
+
+def _check_cells(text: str) -> None:
+    """Refuse columns of one name, and rows of another length, which pandas would shift or fill."""
+    head, *rows = [row for row in csv.reader(StringIO(text, newline=None)) if row] or [[]]
+    twice = next((name for name in head if name and head.count(name) > 1), None)
+    if twice is not None:
+        raise ValueError(f"two columns are called {twice!r}")
+    wrong = next((len(row) for row in rows if len(row) != len(head)), None)
+    if wrong is not None:
+        raise ValueError(f"a row has {wrong} cells, and the header {len(head)}")

@@ -4,9 +4,9 @@ Each function corresponds to the line of `KernelMap`, `halfseen.learning.behavio
 same name.
 
 The inputs of a policy of named actions are the covariates of n states as numbers, in double precision, in the order of
-`Covariates.names`, and the stage, from 1. The outputs are the values that are compared, −∞ for an impossible action,
-and the index of the best action. The model's metadata name actions and covariates; a text covariate is encoded by an
-indicator of each category but the first.
+`Covariates.names`, and the stage, from 1; another stage is an error. The outputs are the values that are compared, −∞
+for an impossible action, and the index of the best action, −1 where a value is NaN, as of a NaN covariate. The model's
+metadata name actions and covariates; a text covariate is encoded by an indicator of each category but the first.
 """
 
 from typing import Any
@@ -113,7 +113,16 @@ def choose(
         prefers = graph("LogSoftmax", graph("Where", possible, utility, nothing), axis=-1)
         scores = graph("Add", scores, graph("Mul", np.float64(behaviour_weight), prefers))
     graph("Where", possible, scores, nothing, to=SCORES)
-    graph("ArgMax", SCORES, axis=-1, keepdims=0, to=ACTION)
+    num_nan = graph.total(graph.as_number(graph("IsNaN", SCORES)), -1)
+    # Otherwise NaN would be the largest, and the first action the best.
+    is_known = graph("Equal", num_nan, np.float64(0.0))
+    graph("Where", is_known, graph("ArgMax", SCORES, axis=-1, keepdims=0), np.int64(-1), to=ACTION)
+
+
+def place_of(graph: Graph, count: str, most: int) -> str:
+    """Index of a count from 1 to `most`; of any other an index that is refused, as a negative one would be wrapped."""
+    at = graph("Sub", count, np.int64(1))
+    return graph("Where", graph("Less", at, np.int64(0)), np.int64(most), at)
 
 
 COVARIATES, STAGE = "covariates", "stage"
@@ -122,7 +131,7 @@ COVARIATES, STAGE = "covariates", "stage"
 def discrete_graph(policy: DiscretePolicy) -> tuple[Any, dict[str, Any]]:
     """Convert a policy of named actions to an ONNX model, and return its metadata."""
     graph = Graph(np.float64)
-    at = graph("Sub", STAGE, np.int64(1))
+    at = place_of(graph, STAGE, policy.horizon)
     possible = graph("Gather", policy.is_possible, at)
     features = COVARIATES if policy.kernel_map is None else kernel_features(graph, COVARIATES, policy.kernel_map)
     ones = graph("Expand", np.float64(1.0), graph("Concat", graph("Shape", COVARIATES, end=1), np.array([1]), axis=0))

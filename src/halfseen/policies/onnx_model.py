@@ -19,7 +19,7 @@ import halfseen
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.policies.folder.stored import StoredPolicy
-from halfseen.policies.onnx_graph import ACTION, SCORES, Graph, choose, discrete_graph, kernel_features
+from halfseen.policies.onnx_graph import ACTION, SCORES, Graph, choose, discrete_graph, kernel_features, place_of
 from halfseen.tables.features import LEAST_IN_SIGHT, LIKELY_ODDS, NUM_FEATURES, NUM_TABLE_FEATURES, ROUNDING
 from halfseen.tables.grasp_table import GraspTable
 from halfseen.tables.policy import LinearTablePolicy
@@ -106,7 +106,7 @@ def table_graph(policy: LinearTablePolicy, horizon: int, num_objects: int) -> tu
     raw = _features(graph, num_objects, policy.grasp)
     phi = raw if policy.kernel_map is None else kernel_features(graph, raw, policy.kernel_map)
     design, verbs = _with_one(graph, phi, actions), actions.verbs
-    at = graph("Sub", graph.as_count("steps_to_go"), np.int64(1))
+    at = place_of(graph, graph.as_count("steps_to_go"), policy.coefficients.shape[-3])
     possible = _possible(graph, policy, at, verbs)
     scores = _dot(graph, design, graph("Gather", graph("Gather", policy.coefficients, at), verbs))
     margins = None if policy.margin is None else _margins(graph, policy, design, at, verbs)

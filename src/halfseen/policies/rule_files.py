@@ -35,7 +35,7 @@ import io
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -43,9 +43,6 @@ from halfseen.errors import ArgumentError, HalfseenError, did_you_mean
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.rule_table import ACTION, COMPARISONS, STAGE, Condition, RuleRow, RuleTable
 from halfseen.reading import opened_text, read_text, reason_of, toml_of
-
-if TYPE_CHECKING:
-    from halfseen.policies.rule_table import RuleTable
 
 
 def read_rule_table(path: str | Path, horizon: int, names: Sequence[Hashable] = ()) -> RuleTable:
@@ -120,12 +117,17 @@ _READERS: dict[str, Callable[[Path], Entries]] = {".csv": _csv_entries, ".toml":
 def _rows(entries: Entries, known: Mapping[str, Hashable]) -> tuple[RuleRow, ...]:
     rows = []
     for number, (asked, action) in enumerate(entries, start=1):
-        if not isinstance(action, str | int) or action == "":
+        if not isinstance(action, str | int) or isinstance(action, bool) or action == "":
             raise ArgumentError(f"row {number}: action is {action!r}; name one")
-        parts = [(str(column), part) for column, text in asked.items() for part in str(text).split(" and ")]
-        conditions = tuple(_condition(number, *part) for part in parts)
-        rows.append(RuleRow(conditions, known.get(str(action), action)))
+        conditions = [_condition(number, str(name), part) for name, text in asked.items() for part in _parts(text)]
+        rows.append(RuleRow(tuple(conditions), known.get(str(action), action)))
     return tuple(rows)
+
+
+def _parts(given: Any) -> list[str]:
+    """Split several conditions, of which only the first may lack a sign; text may hold the word "and" itself."""
+    parts = (text := str(int(given) if isinstance(given, bool) else given)).split(" and ")
+    return parts if all(part.strip().startswith(tuple(COMPARISONS)) for part in parts[1:]) else [text]
 
 
 def _condition(number: int, column: str, text: str) -> Condition:
@@ -139,7 +141,7 @@ def _condition(number: int, column: str, text: str) -> Condition:
             f"row {number}: {column} is {text.strip()!r}, which is no condition; give a value, or one of "
             f"{' '.join(COMPARISONS)} and a number"
         )
-    return Condition(column, sign or "=", value)
+    return Condition(column, sign or "=", value, written)
 
 
 def _number_or_text(written: str) -> float | str:
@@ -218,13 +220,18 @@ def _check(rows: Sequence[RuleRow], actions: Sequence[Any], columns: Sequence[st
     for number, row in enumerate(rows, start=1):
         if str(row.action) not in map(str, actions):
             raise ArgumentError(f"row {number}: {named_in('action', row.action, actions)}")
-        unknown = next((one.column for one in row.conditions if one.column not in known), None)
-        if unknown is not None:
-            raise ArgumentError(f"row {number}: {named_in('column', unknown, known)}")
         for one in row.conditions:
-            if isinstance(one.value, str) != (one.column in texts):
-                holds = "text" if one.column in texts else "numbers"
-                raise ArgumentError(f"row {number}: {one.column} is {one.value!r}, and the policy knows {holds} of it")
+            if one.column not in known:
+                raise ArgumentError(f"row {number}: {named_in('column', one.column, known)}")
+        _check_values(number, row, known, texts)
+
+
+def _check_values(number: int, row: RuleRow, known: Collection[str], texts: Collection[str]) -> None:
+    """Refuse text for a known column of numbers, and sizes for one of text."""
+    for one in (one for one in row.conditions if one.column in known):
+        if one.text is None if one.column in texts else isinstance(one.value, str):
+            holds = "text" if one.column in texts else "numbers"
+            raise ArgumentError(f"row {number}: {one.column} is {one.value!r}, and the policy knows {holds} of it")
 
 
 def _share(number: int, text: str) -> float:
@@ -270,7 +277,7 @@ class FallBack:
 
     usual: tuple[Hashable, ...]
     says: str
-    rule: "RuleTable | None" = None
+    rule: RuleTable | None = None
     rule_name: str = ""
 
     def action(self, covariates: Mapping[str, Any], stage: int) -> tuple[Any, str]:
@@ -284,20 +291,25 @@ class FallBack:
             return usual, f"{self.says}, for {self.rule_name} fails: {error}"
 
 
-def rule_of(stored: StoredPolicy, file: Path) -> "RuleTable":
+def rule_of(stored: StoredPolicy, file: Path) -> RuleTable:
     """Read a rule of thumb whose actions a policy knows.
 
     Raises
     ------
     ArgumentError
-        The policy is of tables, the file is no rule, or it names an action unknown to the policy.
+        The policy is of tables, the file is no rule, or an action or the kind of a column is unknown to the policy.
     """
     if stored.is_table:
         raise ArgumentError(f"{file}: the policy is of tables of objects, and rules are of named actions; leave it out")
-    rule = read_rule_table(file, stored.horizon, stored.policy.actions)
-    unknown = next((name for name in rule.actions if name not in stored.policy.actions), None)
-    if unknown is not None:
-        raise ArgumentError(f"{file}: {named_in('action', unknown, stored.policy.actions)}")
+    policy = stored.policy
+    rule = read_rule_table(file, stored.horizon, policy.actions)
+    try:
+        for number, row in enumerate(rule.rows, start=1):
+            if row.action not in policy.actions:
+                raise ArgumentError(named_in("action", row.action, policy.actions))
+            _check_values(number, row, policy.covariates, policy.categories)
+    except ArgumentError as error:
+        raise ArgumentError(f"{file}: {error}") from error
     return rule
 
 
@@ -320,13 +332,12 @@ def fall_back_of(stored: StoredPolicy, file: Path | None = None) -> FallBack | N
         if file is not None:
             rule_of(stored, file)
         return FallBack((FINISH,), "it ends the trajectory")
-    rule = None if file is None else rule_of(stored, file)
-    usual = usual_actions(stored)
-    if rule is None:
-        return FallBack(usual, "the usual action of its log in this stage") if usual else None
-    fixed = rule.rows[-1].action
-    known = (usual, "the usual action of its log in this stage") if usual else ((fixed,), "the last row of its rule")
-    return FallBack(*known, rule, f"the rule {file.name}" if file else "")
+    usual, says = usual_actions(stored), "the usual action of its log in this stage"
+    if file is None:
+        return FallBack(usual, says) if usual else None
+    rule = rule_of(stored, file)
+    known = (usual, says) if usual else ((rule.rows[-1].action,), "the last row of its rule")
+    return FallBack(*known, rule, f"the rule {file.name}")
 
 
 def usual_actions(stored: StoredPolicy) -> tuple[Hashable, ...]:

@@ -36,11 +36,21 @@ class Condition:
         ``<``, ``<=``, ``>``, ``>=``, ``=`` or ``!=``.
     value
         The value to compare with; a number, or a text for ``=`` and ``!=``.
+    written
+        A number as it is written, which a column of text is compared with; "" if unknown.
     """
 
     column: str
     sign: str
     value: float | str
+    written: str = ""
+
+    @property
+    def text(self) -> str | None:
+        """What a column of text is compared with, also if it looks like a number; None if text has no such order."""
+        if isinstance(self.value, str):
+            return self.value
+        return self.written if self.written and self.sign in ("=", "!=") else None
 
     def holds(self, frame: pd.DataFrame, stage: int) -> Bool[np.ndarray, " m"]:
         """Whether the condition holds, for each row of covariates.
@@ -54,7 +64,8 @@ class Condition:
             A covariate is null.
         """
         given = pd.Series(stage, index=frame.index) if self.column == STAGE else self._column(frame)
-        return np.asarray(COMPARISONS[self.sign](given, self.value), dtype=bool)
+        value = self.value if is_numeric_dtype(given.dtype) else self.text
+        return np.asarray(COMPARISONS[self.sign](given, value), dtype=bool)
 
     def holds_in(self, values: Mapping[str, Any], stage: int) -> bool:
         """Whether the condition holds in one state, given by covariate name; faster than `holds`.
@@ -65,11 +76,12 @@ class Condition:
             The covariate is missing, or is text where a number is needed, or the reverse.
         """
         given = stage if self.column == STAGE else values.get(self.column)
-        if given is None or isinstance(given, str) != isinstance(self.value, str):
+        value = self.text if isinstance(given, str) else self.value
+        if given is None or value is None or isinstance(given, str) != isinstance(value, str):
             raise ArgumentError(
                 f"the rule asks for {self.column} {self.sign} {self.value}, and {self.column} is {given}"
             )
-        return bool(COMPARISONS[self.sign](given, self.value))
+        return bool(COMPARISONS[self.sign](given, value))
 
     def _column(self, frame: pd.DataFrame) -> Any:
         if self.column in STAGE_COLUMNS:
@@ -81,7 +93,7 @@ class Condition:
             raise ArgumentError(f"the rule asks for {self.column!r}, and the log has none; there are {known}")
         given: Any = frame[self.column]
         is_number = is_numeric_dtype(given.dtype)
-        if is_number == isinstance(self.value, str):
+        if isinstance(self.value, str) if is_number else self.text is None:
             condition = f"{self.column} {self.sign} {self.value}"
             raise ArgumentError(
                 f"the rule asks for {condition}, and {self.column} holds {'' if is_number else 'no '}numbers"
@@ -161,6 +173,12 @@ class RuleTable:
     def actions(self) -> tuple[Hashable, ...]:
         """Names, in order of first appearance."""
         return tuple(dict.fromkeys(row.action for row in self.rows))
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Covariates that it asks for, in order of first appearance."""
+        asked = (one.column for row in self.rows for one in row.conditions)
+        return tuple(dict.fromkeys(name for name in asked if name != STAGE))
 
     def action(self, values: Mapping[str, Any], stage: int) -> Hashable:
         """The action of the first row that matches one state.

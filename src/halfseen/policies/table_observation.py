@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 from halfseen.errors import ArgumentError, CloudError, PolicyError, within
 from halfseen.perception import View, perceive, read_cloud
 from halfseen.perception.labels import labels_of
-from halfseen.perception.view import other_things_in_words
+from halfseen.perception.view import left_out_in_words, other_things_in_words
 from halfseen.policies.folder.stored import StoredPolicy, refuse_log_of_team
 from halfseen.policies.named_decider import STATE_FILES
 from halfseen.tables.first_look import chances_in_words, labels_in_words
@@ -124,8 +124,7 @@ def see_table(
     seen_labels, others = labels_of(view, cloud, labels), other_things_in_words(view)
     scene = view.scene() if law is None else law.scene(view)
     now = _present(stored, view, scene, past, stage)
-    if others:
-        now = replace(now, notes=(others, *now.notes))
+    now = replace(now, notes=(*filter(None, (others, left_out_in_words(view))), *now.notes))
     if seen_labels is None:
         return TableSeen(now, view, others)
     after = labelled(now, [label.is_dirty for label in seen_labels], AssumedSeeing() if law is None else law.seeing)

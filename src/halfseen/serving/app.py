@@ -201,6 +201,8 @@ async def _page(served: Served, request: Request) -> Response:
 async def _object(request: Request) -> dict[str, Any]:
     if _content_type(request) != JSON:
         raise Refusal(415, f"content-type is {_content_type(request)!r}; send JSON, as application/json")
+    if (coding := request.headers.get("content-encoding", "identity").lower()) != "identity":
+        raise Refusal(415, f"content-encoding is {coding!r:.40}; send it unpacked")
     try:
         given = json_of(await request.body())
     except ValueError as error:

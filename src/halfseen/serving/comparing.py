@@ -9,22 +9,21 @@ propensities of the log describe one behaviour policy, and learning and evaluati
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from halfseen.errors import NothingRecordedError
+from halfseen.errors import ArgumentError, NothingRecordedError
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.logs import Logs, read_logs
-from halfseen.logs.columns import FINISHED
+from halfseen.logs.columns import ARM, FINISHED, RULE
 from halfseen.logs.recorded import STILL_RUNNING, followed
 from halfseen.monitoring.comparison import Courses, Kept, counted
-from halfseen.monitoring.dealing import ARM, POLICY, RULE, Standing, Terms, standing
+from halfseen.monitoring.dealing import POLICY, Standing, Terms, standing
 from halfseen.policies.rule_files import FallBack, fall_back_of
-from halfseen.reading import read_bytes
+from halfseen.reading import read_bytes, reason_of
 from halfseen.serving.models import Compared
 from halfseen.shapes import Float
 
@@ -94,23 +93,15 @@ class Comparison:
     say: Callable[[str], object] = field(default_factory=lambda: print)
 
     def __post_init__(self) -> None:
+        found = fall_back_of(self.service.stored, self.file)
+        assert found is not None, "a rule file says what decides"
+        self.rule: FallBack = found
+        self.name = name_of(self.service, self.file)
         self.deal: Deal | None = None
         self.courses = self._recorded()
         self.kept = Kept()
         self.counted = counted(self.courses, kept=self.kept)
         self.standing: Standing = standing(self.courses, self.terms, self.counted, self.kept)
-
-    @cached_property
-    def rule(self) -> FallBack:
-        """The rule that decides in its own trajectories."""
-        found = fall_back_of(self.service.stored, self.file)
-        assert found is not None, "a rule file says what decides"
-        return found
-
-    @cached_property
-    def name(self) -> str:
-        """Identifier that distinguishes comparisons of other policies or rules in the same log."""
-        return f"{self.service.digest}:{hashlib.sha256(read_bytes(self.file)).hexdigest()[:12]}"
 
     @property
     def policy(self) -> DiscretePolicy:
@@ -154,8 +145,8 @@ class Comparison:
             self.say(f"the policy is {self.standing}")
 
     def of(self, service: "InService", *, is_in_progress: bool) -> "Comparison":
-        """Comparison of another policy, in the same log; a trajectory in progress continues, and counts for neither."""
-        if service.digest == self.service.digest:
+        """Comparison of another policy or rule in this log; a trajectory in progress goes on, and does not count."""
+        if name_of(service, self.file) == self.name:
             return self
         other = replace(self, service=service)
         other.deal = self.deal if is_in_progress else None
@@ -174,6 +165,15 @@ class Comparison:
         except NothingRecordedError:
             return courses_of(None, self.policy, self.name)
         return courses.part(0, min(courses.num, num_until_decided(courses) + 1))
+
+
+def name_of(service: "InService", file: Path) -> str:
+    """Identifier that distinguishes comparisons of other policies or rules in the same log."""
+    try:
+        content = read_bytes(file)
+    except OSError as error:
+        raise ArgumentError(f"{file}: it cannot be read ({reason_of(error)})") from error
+    return f"{service.digest}:{hashlib.sha256(content).hexdigest()[:12]}"
 
 
 def courses_of(logs: Logs | None, policy: DiscretePolicy, name: str) -> Courses:

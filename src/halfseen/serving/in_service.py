@@ -76,7 +76,7 @@ def taken_into_service(
     fall_back = fall_back_of(stored, rule)
     decider = decider_of(stored, extrapolates=extrapolates, stays_within=stays_within)
     _warm(stored, decider)
-    return InService(stored, decider, _digest(stored), fall_back)
+    return InService(stored, decider, digest_of(stored), fall_back)
 
 
 def _warm(stored: StoredPolicy, decider: Decider) -> None:
@@ -96,7 +96,8 @@ def _warm(stored: StoredPolicy, decider: Decider) -> None:
         decider.decide(first_state(nothing_hidden, stored.horizon, stored.record["schema"]["dirty_share"]))
 
 
-def _digest(stored: StoredPolicy) -> str:
+def digest_of(stored: StoredPolicy) -> str:
+    """Identifier of a policy; see `InService`."""
     digest = hashlib.sha256(as_json(stored.record))
     for name, array in sorted(kind_named(stored.record["kind"]).arrays_of(stored.policy).items()):
         digest.update(name.encode() + array.tobytes())

@@ -15,6 +15,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
+from types import FrameType
 from typing import Any
 
 import uvicorn
@@ -156,7 +157,13 @@ async def cloud_in(request: Request) -> AsyncIterator[Cloud]:
             raise Refusal(400, trouble) from error
         folder = Path(kept.enter_context(TemporaryDirectory()))
         given = {name: await _kept(name, form[name], folder) for name in names if name in form}
-        yield model_of(given, Cloud, is_text=True)
+        found = model_of(given, Cloud, is_text=True)
+        parts = [name for name, _ in form.multi_items()]
+        for name in parts:
+            if name not in names or parts.count(name) > 1:
+                trouble = "is given twice" if name in names else "is none of its parts"
+                raise Refusal(422, f"the request: {name!r:.40} {trouble}; give {', '.join(names)}")
+        yield found
 
 
 async def _kept(name: str, given: UploadFile | str, folder: Path) -> Path | str:
@@ -241,6 +248,15 @@ def bound_socket(host: str, port: int) -> socket.socket:
         ) from error
 
 
+class _Server(uvicorn.Server):
+    """Ends in order, however often it is interrupted; uvicorn would leave the app and print a traceback."""
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Ignore all but the first signal."""
+        if not self.should_exit:
+            super().handle_exit(sig, frame)
+
+
 def serve(app: App, at: socket.socket, on_start: Callable[[], Any] | None = None) -> None:
     """Serve an app until it is interrupted; pending requests are answered first.
 
@@ -272,6 +288,6 @@ def serve(app: App, at: socket.socket, on_start: Callable[[], Any] | None = None
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with contextlib.suppress(KeyboardInterrupt):
-            uvicorn.Server(config).run(sockets=[at])
+            _Server(config).run(sockets=[at])
     finally:
         signal.signal(signal.SIGTERM, before)

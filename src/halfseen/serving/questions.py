@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from halfseen.arrays import Points, mapped
-from halfseen.errors import HalfseenError, OutOfRangeError
+from halfseen.errors import HalfseenError, OutOfRangeError, closest
+from halfseen.learning.covariates import Categories
 from halfseen.logs.recording_state import Schema
 from halfseen.logs.trajectory_recorder import log_so_far
 from halfseen.policies.decision import Decision
@@ -90,31 +91,33 @@ def seen_in_state(
     Refusal
         Its stage differs from the next stage to record.
     """
-    stage = checked_stage(state.get("stage", next_stage or 1), LATEST_STAGE, BODY)
+    stage = checked_stage(state.get("stage", next_stage or 1), LATEST_STAGE, BODY, "")
     _check_next(stage, next_stage)
+    covariates = {name: value for name, value in state.items() if name != "stage"}
     if service.stored.is_table:
         objects = model_of(state, Table).objects
+        del covariates["objects"]
         present, names = present_of(service.stored, objects, stage)
-        return Seen(lambda: service.decider.decide(present), stage, Begun(_covariates(state), objects), names)
+        return Seen(lambda: service.decider.decide(present), stage, Begun(covariates, objects), names)
     decider = service.decider
     assert isinstance(decider, NamedDecider), "what is not of tables is of named actions"
     policy = decider.policy
-    full, filled = completed(policy, state, last)
-    begun, texts = Begun(_covariates(full)), policy.categories.items()
+    full, filled = completed(policy, covariates, last)
+    texts = policy.categories.items()
     new = {name: given for name, of in texts if isinstance(given := full.get(name), str) and given not in of}
     known = known_covariates(policy, {**full, **{name: policy.categories[name][0] for name in new}}, BODY)
+    # A category may come as a number, and is text in the log.
+    begun = Begun({**full, **{name: at for name, at in known.items() if isinstance(at, str) and name not in new}})
     if new:
-        return Seen(partial(_refuse_new, new), stage, begun)
+        return Seen(partial(_refuse_new, new, policy.categories), stage, begun)
     return Seen(lambda: decider.decide_known(known, stage, filled), stage, begun)
 
 
-def _covariates(state: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in state.items() if name not in Table.__struct_fields__}
-
-
-def _refuse_new(new: Mapping[str, str]) -> Decision:
+def _refuse_new(new: Mapping[str, str], categories: Categories) -> Decision:
     name, given = next(iter(new.items()))
-    raise OutOfRangeError(f"{name} is {given!r:.40}, which no state of the logs showed")
+    meant = closest(given, categories[name])
+    they = "" if meant is None else f"; they showed {meant!r:.40}"
+    raise OutOfRangeError(f"{name} is {given!r:.40}, which no state of the logs showed{they}")
 
 
 def _check_next(stage: int | None, next_stage: int | None) -> None:

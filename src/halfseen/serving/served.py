@@ -15,7 +15,8 @@ import numpy as np
 from anyio import move_on_after, to_thread
 from msgspec import UNSET
 
-from halfseen.monitoring.dealing import POLICY, RULE
+from halfseen.logs.columns import RULE
+from halfseen.monitoring.dealing import POLICY
 from halfseen.policies.decision import Decision
 from halfseen.policies.rule_files import ExplorationTable
 from halfseen.serving.comparing import Comparison
@@ -205,6 +206,9 @@ class Served:
             if answering.comparison is not None and recording is not None:
                 to = partial(answering.comparison.of, fresh, is_in_progress=recording.facts.trajectory is not None)
                 self.answering = replace(answering, comparison=await to_thread.run_sync(to))
+            watch = answering.recent.watch
+            if watch is not None and recording is not None and fresh.digest != self.service.digest:
+                watch.anew(fresh.digest, recording.facts.trajectory)
             self.service = fresh
         return fresh
 

@@ -22,9 +22,8 @@ from typing import Any
 from msgspec import UNSET
 
 from halfseen.errors import HalfseenError
-from halfseen.logs.columns import STEPPED_BACK
+from halfseen.logs.columns import ARM, STEPPED_BACK
 from halfseen.logs.recorded import followed
-from halfseen.monitoring.dealing import ARM
 from halfseen.serving.models import Decided, Recorded
 
 EVERY_S = 30.0
@@ -46,17 +45,23 @@ class Watch:
         Shortest time between the starts of two looks at the log [s].
     say
         Receives the sentence of the first alarm, and the reason if the log cannot be watched.
+    digest
+        Identifier of the policy that decides, which the folder may hold no more; "" if unknown.
     """
 
     policy: Path
     logs: Path
     every_s: float = EVERY_S
     say: Callable[[str], object] = print
+    digest: str = ""
     found: dict[str, Any] | None = field(default=None, init=False)
     """Result of `found_of`; None before the first look has ended."""
 
     def __post_init__(self) -> None:
         self._is_new, self._is_over, self._began_s, self._next_s = False, False, 0.0, 0.0
+        self._since: str | int | None = None
+        self._mixed: str | int | None = None
+        self._is_of_another = False
         self._thread: threading.Thread | None = None
         self._process: subprocess.Popen[str] | None = None
 
@@ -75,10 +80,27 @@ class Watch:
         """Time since the last finished look started [s]."""
         return time.monotonic() - self._began_s
 
-    def ended(self) -> None:
+    def ended(self, trajectory: str | int | None = None) -> None:
         """Note that a trajectory has ended, and look again, now or at the next call of `look`."""
+        if self._is_of_another:
+            if trajectory == self._mixed:
+                return
+            self._since, self._is_of_another = trajectory, False
         self._is_new = True
         self.look()
+
+    def anew(self, digest: str, in_progress: str | int | None) -> None:
+        """Watch another policy from the first trajectory on that it decides alone.
+
+        Parameters
+        ----------
+        digest
+            Its identifier.
+        in_progress
+            Trajectory in progress, which both policies decide; None if there is none.
+        """
+        self.digest, self._mixed = digest, in_progress
+        self._is_of_another, self._is_new, self.found = True, False, None
 
     def look(self) -> None:
         """Start a look at the log if there is news, no look is running, and one is due."""
@@ -89,10 +111,12 @@ class Watch:
             self._thread.start()
 
     def _look(self) -> None:
-        began_s = time.monotonic()
+        began_s, since = time.monotonic(), self._since
         found = self._asked()
         before = self.found or {}
         self._next_s = began_s + max(self.every_s, found.pop(WORK, 0.0) / MOST_WORK)
+        if self._is_of_another or since != self._since:
+            return
         self.found, self._began_s = found, began_s
         if found.get("is_alarm") and not before.get("is_alarm"):
             self.say(found["sentence"])
@@ -100,7 +124,8 @@ class Watch:
             self.say(f"The log is not watched: {found['error']}")
 
     def _asked(self) -> dict[str, Any]:
-        words = [sys.executable, "-m", __name__, str(self.policy), str(self.logs)]
+        words = [sys.executable, "-m", __name__, str(self.policy), str(self.logs), self.digest]
+        words += [] if self._since is None else [str(self._since)]
         alone = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         pipes: Any = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         try:
@@ -113,15 +138,20 @@ class Watch:
         return json.loads(text)
 
 
-def found_of(policy: Path, logs: Path) -> dict[str, Any]:
+def found_of(policy: Path, logs: Path, digest: str = "", since: str | None = None) -> dict[str, Any]:
     """Result of `halfseen monitor --json`, with figures if matplotlib is installed; or an error in one line."""
     from halfseen.logs import read_logs
+    from halfseen.logs.joining import since as later
     from halfseen.monitoring.monitor import monitored
     from halfseen.policies.folder import read_policy
+    from halfseen.serving.in_service import digest_of
 
     try:
         stored = read_policy(policy)
+        if digest not in ("", digest_of(stored)):
+            return {"error": f"{policy} holds another policy than the one that decides; POST /reload, and it decides"}
         read = read_logs(logs, missing=stored.missing())
+        read = read if since is None else later(read, since)
         found = monitored(stored, read)
     except HalfseenError as error:
         return {"error": str(error)}
@@ -135,7 +165,7 @@ def found_of(policy: Path, logs: Path) -> dict[str, Any]:
 if __name__ == "__main__":
     if hasattr(os, "nice"):
         os.nice(NICE)
-    what = found_of(Path(sys.argv[1]), Path(sys.argv[2]))
+    what = found_of(Path(sys.argv[1]), Path(sys.argv[2]), *sys.argv[3:])
     print(json.dumps({**what, WORK: time.process_time()}, allow_nan=False))
 
 
@@ -182,4 +212,4 @@ class Recent:
         )
         self.trajectories.appendleft(recorded)
         if self.watch is not None:
-            self.watch.ended()
+            self.watch.ended(recorded.trajectory)

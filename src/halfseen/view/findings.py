@@ -2,7 +2,7 @@
 
 import platform
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from typing import Any
 
@@ -145,12 +145,13 @@ def _judged(
 ) -> PolicyFindings:
     on_progress("evaluate")
     policy, spec = stored.policy, specification_of(stored, logs, **chosen)
-    evaluation = evaluate(policy, logs, censoring=spec.censoring, q=spec.q, is_hourly=True, **options)
     # What the policy does not know is not shown as anything else than its models take it for.
-    logs = with_its_rule(policy, logs).logs
-    task = (spec.q and spec.q.task) or task_of(policy, logs)
+    served, logs, by_rule = with_its_rule(policy, logs, stored.is_outside)
+    evaluation = evaluate(served, logs, censoring=spec.censoring, q=spec.q, is_hourly=True, **options)
+    evaluation = replace(evaluation, notes=(*by_rule, *evaluation.notes))
+    task = (spec.q and spec.q.task) or task_of(served, logs)
     on_progress("look at the policy")
-    decided = choices(stored, task, logs)
+    decided = choices(served, task, logs)
     on_progress("learn again")
     seed, workers = options["random_state"], options["workers"]
     curves, band = q_curves(stored, logs, num_replicates, seed, is_own_log=is_own_log, workers=workers)

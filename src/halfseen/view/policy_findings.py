@@ -36,7 +36,7 @@ Band = Literal["bootstrap", "regression"]
 """Source of bands around Q: learning from resampled trajectories, or the standard errors in the policy's folder."""
 
 
-def choices(stored: StoredPolicy, task: Task, logs: Logs) -> list[dict[str, Any]]:
+def choices(policy: Any, task: Task, logs: Logs) -> list[dict[str, Any]]:
     """Describe, for each stage of a log, the logged actions and those of the policy in the same states.
 
     Returns
@@ -57,7 +57,7 @@ def choices(stored: StoredPolicy, task: Task, logs: Logs) -> list[dict[str, Any]
                 name: float(logged[stage].get(name, 0.0)) if stage in logged else None for name in row["shares"]
             },
         }
-        for stage, row in action_shares(stored.policy, task, [logs]).to_dict("index").items()
+        for stage, row in action_shares(policy, task, [logs]).to_dict("index").items()
     ]
 
 
@@ -118,7 +118,9 @@ def q_curves(
     if not isinstance(policy, DiscretePolicy):
         return [], None
     frame: Any = logs.stages
-    states = {stage: frame[frame["stage"] == stage] for stage in range(1, min(MOST_STAGES, logs.horizon) + 1)}
+    states = {
+        stage: frame[frame["stage"] == stage] for stage in range(1, min(MOST_STAGES, logs.horizon, policy.horizon) + 1)
+    }
     states = {stage: rows for stage, rows in states.items() if len(rows) >= FEWEST_STATES}
     numeric = [name for name in policy.covariates if name not in policy.categories]
     names = [name for name in numeric if all(np.ptp(_ends(rows[name])) > 0 for rows in states.values())]

@@ -130,12 +130,14 @@ def checked_tables(logs: Logs, horizon: int | None = None, *, is_team: bool | No
 
 def _check_stages(log: TableLog) -> None:
     """Check that FINISH ends a trajectory, or the part of one robot of a team, and that targets are on the table."""
-    stages, is_gone = log.logs.stages, (log.objects["location"] != TABLE).to_numpy(dtype=bool)
+    # A list equals no text, and cannot be looked up either.
+    stages, location = log.logs.stages, log.objects["location"].astype(str)
+    is_gone = (location != TABLE).to_numpy(dtype=bool)
     is_finish, who = stages["action"].eq(Verb.FINISH.name), ["trajectory", *({ROBOT} & set(stages.columns))]
     late = is_finish.groupby([stages[name] for name in who]).shift(fill_value=False).to_numpy(dtype=bool)
     ends = "parks its robot permanently" if ROBOT in stages.columns else "ends a trajectory"
     refuse(stages, late, f"it comes after FINISH, which {ends}; drop the stage, or start a new trajectory with it")
-    is_known = log.objects["location"].isin(LOCATIONS)
+    is_known = location.isin(LOCATIONS)
     log.refuse_objects("location", ~is_known, f"is not one of {', '.join(LOCATIONS)}; say where the object is")
 
     def gone(row: int) -> str:

@@ -8,7 +8,7 @@ import pytest
 from convex_oracle import cut_log
 from scipy.optimize import minimize
 from scipy.special import expit
-from sklearn.model_selection import KFold, RepeatedKFold
+from sklearn.model_selection import KFold, RepeatedKFold, StratifiedKFold
 from sksurv.datasets import load_gbsg2, load_veterans_lung_cancer, load_whas500
 from sksurv.nonparametric import kaplan_meier_estimator
 
@@ -227,6 +227,15 @@ def test_splits_without_rows_that_were_seen(log):
         CensoredSVR("squared", gamma=GAMMA, cv=[*telling, (cut, seen)]).fit(rows, y)
     with pytest.raises(ArgumentError, match="cv: no split holds out an observed row"):
         CensoredSVR("squared", gamma=GAMMA, cv=[(seen, cut)]).fit(rows, y)
+
+
+def test_a_stratified_splitter_deals_early_late_and_cut_rows_evenly():
+    classifier, stratified = CensoredSVC(tau=np.median(TIME), gamma=GAMMA, calibrate=False), StratifiedKFold(3)
+    early = IS_FINISHED & (classifier.tau >= TIME)
+    groups = np.where(early, 1, np.where(classifier.tau <= TIME, 2, 3))
+    given = list(stratified.split(X, groups))
+    found, expected = (classifier.set_params(cv=cv).fit(X, Y).cv_losses_.copy() for cv in (stratified, given))
+    np.testing.assert_array_equal(found, expected)
 
 
 TAU = 1.5

@@ -73,7 +73,7 @@ BAD = {
     "complete_stage needs reward": b'{"call": "complete_stage", "reward": null}\n',
     "NaN is not a number": b'{"call": "complete_stage", "reward": NaN}\n',
     "reward is inf": b'{"call": "complete_stage", "reward": 1e999, "elapsed_s": 2.0}\n',
-    "a name is given twice": b'{"call": "complete_stage", "reward": 1, "reward": 2}\n',
+    "'reward' is given twice": b'{"call": "complete_stage", "reward": 1, "reward": 2}\n',
     "longer than": b'{"call": "complete_stage", "reward": "' + b"9" * (2 * MOST_BYTES + 5) + b'"}\n',
     "not valid JSON .*utf-8": b'{"call": "cut", "cause": "\xff"}\n',
     "columns are not a JSON object": b'{"call": "begin_trajectory", "columns": [1]}\n',

@@ -376,3 +376,23 @@ def test_why_a_rule_decided_is_read_back_and_is_no_covariate(tmp_path):
             table.dropna(axis=1, how="all").reset_index(drop=True),
             check_like=True,
         )
+
+
+@pytest.mark.parametrize(
+    ("flag", "read"), [(True, [False, True, False]), (1, [0, 1, 0]), (0.5, [0.0, 0.5, 0.0]), ("yes", None), ([1], None)]
+)
+def test_a_flag_of_missing_values_may_come_now_and_then_if_it_is_a_number_or_a_truth_value(tmp_path, flag, read):
+    with LogRecorder(tmp_path) as recorder:
+        trajectory = recorder.begin_trajectory()
+        for stage in (1, 2, 3):
+            seen = {"x": 0.5} | ({"x_missing": flag} if stage == 2 else {})
+            if stage == 2 and read is None:
+                # With nothing to stand where it is not, the log could not be read.
+                with refused("covariate x_missing was not there before", LogError):
+                    trajectory.begin_stage(seen, action="A")
+                del seen["x_missing"]
+            trajectory.begin_stage(seen, action="A")
+            trajectory.complete_stage(1.0, elapsed_s=float(stage))
+        trajectory.finish()
+    stages = read_logs(tmp_path).stages
+    assert (stages["x_missing"].tolist() if "x_missing" in stages else None) == read

@@ -98,8 +98,9 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
 
     Notes
     -----
-    scikit-learn requires that a row of weight 2 is equivalent to two copies of the row. That holds without folds. With
-    ``reg="cv"`` or ``gamma="cv"`` rows are assigned to folds one by one, so two copies may be in different folds.
+    scikit-learn requires that a row of weight 2 is equivalent to two copies of the row. That holds without folds where
+    Ĝ is not fitted, as Ĝ counts each row once. With ``reg="cv"`` or ``gamma="cv"`` rows are assigned to folds one by
+    one, so two copies may be in different folds.
 
     Examples
     --------
@@ -230,9 +231,8 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
 
     Notes
     -----
-    scikit-learn requires that a row of weight 2 is equivalent to two copies of the row. That holds without folds. With
-    ``reg="cv"``, ``gamma="cv"`` or ``calibrate=True`` rows are assigned to folds one by one, so two copies may be in
-    different folds.
+    A row of weight 2 is two copies of the row where it is for `CensoredSVR`, and ``calibrate=False``. scikit-learn's
+    ``cross_val_score(…, cv=5)`` and searches stratify by y, which fails for times; give them ``cv=KFold(5)``.
 
     Examples
     --------

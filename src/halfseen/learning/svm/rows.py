@@ -178,14 +178,19 @@ def folds_of_seen(cv: Any, seen: RowIds, num_rows: int, random_state: Any, class
     random_state
         Seed of the folds.
     classes
-        Class of each observed row, to stratify the folds.
+        Class ±1 of each observed row, to stratify the folds.
     """
     from sklearn.model_selection import KFold, StratifiedKFold, check_cv
 
     if not isinstance(cv, (int, np.integer)):
         splitter: Any = check_cv(cv)
+        labels = None if classes is None else np.zeros(num_rows)
+        if labels is not None:
+            # A cut row belongs to neither class.
+            labels[seen] = classes
         splits = [
-            [np.flatnonzero(np.isin(seen, part)) for part in split] for split in splitter.split(np.zeros(num_rows))
+            [np.flatnonzero(np.isin(seen, part)) for part in split]
+            for split in splitter.split(np.zeros(num_rows), labels)
         ]
         for place, (fitted, _) in enumerate(splits):
             if len(fitted) == 0:

@@ -6,7 +6,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from halfseen.errors import PolicyError
+from halfseen.errors import ArgumentError, PolicyError
 from halfseen.reading import NUMBERS, read_bytes
 from halfseen.writing import left_aside, placed, refuse_taken
 
@@ -45,9 +45,13 @@ def check_target(folder: Path, overwrite: bool, kind: Kind = POLICY) -> None:
     Raises
     ------
     ArgumentError
-        The folder exists and may not be replaced, or is of another kind.
+        The folder exists and may not be replaced, is of another kind, or also holds a recorded log.
     """
+    from halfseen.logs.journal import JOURNAL
+
     refuse_taken(folder, overwrite, kind.record, kind.name)
+    if (folder / JOURNAL).exists():
+        raise ArgumentError(f"{folder}: it also holds a recorded log, {JOURNAL}, which would be lost; move that away")
 
 
 def write_files(

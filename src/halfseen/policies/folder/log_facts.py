@@ -159,9 +159,15 @@ def _with_margins(entry: dict[str, Any], num_ranges: int) -> dict[str, Any]:
 
 def _shown(values: Any, categories: Sequence[str] | None) -> Any:
     if categories is None:
-        return [float(values.min()), float(values.max())]
+        return [min(_end(values.min())), max(_end(values.max()))]
     counts = values.astype(str).value_counts()
     return {name: int(counts[name]) for name in categories if name in counts}
+
+
+def _end(value: Any) -> tuple[float, ...]:
+    """An end of a range; in single precision also as written, since 0.1 is then more than the 0.1 of a client."""
+    is_single = getattr(value, "dtype", None) == np.float32
+    return (float(value), float(str(value))) if is_single else (float(value),)
 
 
 def _seen_tables(logs: Logs) -> list[dict[str, Any]]:

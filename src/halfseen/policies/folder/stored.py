@@ -5,15 +5,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import safetensors
 import safetensors.numpy
 
-from halfseen.errors import ArgumentError, PolicyError, within
+from halfseen.errors import ArgumentError, OutOfRangeError, PolicyError, within
+from halfseen.lazy import Frame
 from halfseen.policies.decision import LASTING_ERROR, QError
 from halfseen.policies.folder.files import ARRAYS, RECORD, read_files
 from halfseen.policies.folder.kinds import FLAT, PolicyKind, laid_out
 from halfseen.policies.folder.record import from_json
-from halfseen.policies.ranges import Range
+from halfseen.policies.ranges import Range, refuse_outside
+from halfseen.shapes import Bool
 
 if TYPE_CHECKING:
     from halfseen.logs import Logs
@@ -119,6 +122,19 @@ class StoredPolicy:
         """How far below and above these ranges a state of the log's own cell may lie by chance."""
         entry = self._seen(stage) or {}
         return {name: (float(below), float(above)) for name, (below, above) in entry.get("margins", {}).items()}
+
+    def is_outside(self, rows: Frame) -> Bool[np.ndarray, " m"]:
+        """Whether each state of a log lies outside these ranges by more than their margins, so that a rule decides."""
+        states: Any = rows[list(self.policy.covariates)]
+        each = zip(rows["stage"].tolist(), states.to_dict("records"), strict=True)
+        return np.array([self._is_outside(stage, state) for stage, state in each], dtype=bool)
+
+    def _is_outside(self, stage: int, state: Mapping[str, Any]) -> bool:
+        try:
+            refuse_outside(self.ranges(stage), {name: {name: at} for name, at in state.items()}, self.margins(stage))
+        except OutOfRangeError:
+            return True
+        return False
 
     def _seen(self, stage: int) -> dict[str, Any] | None:
         is_by_stage = self.record["reg"].get("rows") == "stage"

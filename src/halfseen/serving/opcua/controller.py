@@ -9,14 +9,17 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from asyncua import ua
 from asyncua.client.client import Client
 from asyncua.common.node import Node
 from asyncua.crypto import security_policies, uacrypto
 from asyncua.ua.attribute_ids import AttributeIds
+from asyncua.ua.ua_binary import variant_to_binary
 from cryptography import x509
 
 from halfseen.errors import ArgumentError
+from halfseen.logs.columns import FINISHED
 from halfseen.reading import reason_of
 from halfseen.serving.models import Refusal
 from halfseen.serving.opcua.mapping import CellMapping, Security
@@ -69,7 +72,11 @@ class Snapshot:
     @property
     def ending(self) -> str:
         """How the trajectory ended, empty while it continues; raises `Refusal` if it must not be acted on."""
-        return str(self["ending"] or "")
+        given = "" if self["ending"] is None else self["ending"]
+        if not isinstance(given, str):
+            raise Refusal(422, f'ending is {given!r:.40}, and no text; give "", "finished", or what cut the trajectory')
+        text = given.strip()
+        return FINISHED if text.lower() == FINISHED else text
 
     @property
     def covariates(self) -> dict[str, Any]:
@@ -133,11 +140,22 @@ class Controller:
             code.check()
 
     def typed(self, name: str, value: Any) -> ua.Variant:
-        """Convert a value to the type of its variable; raises `ArgumentError` for text in a non-text variable."""
+        """Convert a value to the type of its variable; raises `ArgumentError` if it does not hold the value."""
         kind = self.types[name]
         if isinstance(value, str) and kind != ua.VariantType.String:
             raise ArgumentError(f"{name} is {value!r}, and its variable takes {kind.name}; give codes in [actions]")
-        return ua.Variant(str(value) if kind == ua.VariantType.String else value, kind)
+        variant = ua.Variant(str(value) if kind == ua.VariantType.String else value, kind)
+        try:
+            # A Boolean would hold any number as true.
+            is_held = kind != ua.VariantType.Boolean or value in (0, 1)
+            variant_to_binary(variant)
+        except (ua.UaError, AttributeError, TypeError):
+            is_held = False
+        if not is_held:
+            raise ArgumentError(
+                f"{name} is {value!r}, and its variable takes {kind.name}; give it a type that holds it"
+            )
+        return variant
 
 
 def _doubt(found: ua.DataValue, now: datetime | None, limit_s: float | None) -> str:
@@ -156,7 +174,12 @@ def _doubt(found: ua.DataValue, now: datetime | None, limit_s: float | None) -> 
 
 
 def _value(found: ua.DataValue) -> Any:
-    return None if found.Value is None else found.Value.Value
+    """The value; one of single precision as it is written, since 0.3 would be more than the 0.3 of a log."""
+    if found.Value is None:
+        return None
+    value = found.Value.Value
+    is_single = found.Value.VariantType == ua.VariantType.Float and isinstance(value, float)
+    return float(str(np.float32(value))) if is_single else value
 
 
 def _plain(value: Any) -> Any:

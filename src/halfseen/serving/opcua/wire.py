@@ -180,7 +180,8 @@ class Wire:
         facts, last = self.recording.facts, self.recording.last
         if request != self._last_decision() or facts.waits_for != "reward" or seen.ending or last is None:
             return None
-        given = {name: value for name, value in seen.covariates.items() if value is not None}
+        # What was missing, as null or NaN, is filled in in the log.
+        given = {name: value for name, value in seen.covariates.items() if value is not None and value == value}
         is_same = facts.stage == seen.whole("stage") and given.items() <= last.items()
         return facts.action if is_same else None
 

@@ -1,0 +1,138 @@
+"""Clouds as others record them: cropped, thinned, in other axes; and things in view that are not on the table."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from scipy.optimize import linear_sum_assignment
+
+from drawn_tables import TABLE_HALF_M, Can, camera_point, draw
+from halfseen.errors import CloudError
+from halfseen.perception import Cloud, View, perceive, read_cloud
+from halfseen.perception.picture import sentence
+from halfseen.perception.tracking import matched
+from halfseen.perception.vessel_fits import divided
+from halfseen.perception.view import hidden_by_others
+from halfseen.scene import table_paths
+
+PAIR = (Can(0.0, -0.05, 0.035, 0.09), Can(0.02, 0.10, 0.04, 0.11))
+FOUR = (*PAIR, Can(-0.16, 0.05, 0.04, 0.12), Can(0.2, 0.1, 0.03, 0.07))
+
+
+def centroids(view: View) -> np.ndarray:
+    return np.array([seen.centroid_m for seen in view.objects])
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_what_reaches_the_end_of_a_cloud_without_a_grid_is_not_cut(number):
+    """The uppermost points of these tables are those of a cup."""
+    cloud = read_cloud(table_paths()[number])
+    view = perceive(Cloud(cloud.points_m))
+    assert (len(view.objects), view.num_cut) == (len(perceive(cloud).objects), 0)
+
+
+def voxels(points, side_m):
+    """The mean of the points in each cube, as voxel filters have it."""
+    _, cube = np.unique(np.floor(points / side_m), axis=0, return_inverse=True)
+    return np.stack([np.bincount(cube.ravel(), of_axis) for of_axis in points.T], axis=1) / np.bincount(cube)[:, None]
+
+
+@pytest.mark.parametrize(
+    "thin",
+    [
+        *(partial(voxels, side_m=side_m) for side_m in (0.004, 0.006, 0.01)),
+        *(lambda points, share=share: np.random.default_rng(0).permutation(points)[::share] for share in (2, 5)),
+        lambda points: points[::2],
+    ],
+    ids=["4 mm", "6 mm", "10 mm", "half", "a fifth", "every other"],
+)
+def test_a_thinned_cloud_shows_the_objects_that_the_whole_one_does(thin):
+    drawn = draw(*FOUR)
+    points, view = drawn.cloud.points_m[np.isfinite(drawn.cloud.points_m[:, 2])], perceive(drawn.cloud)
+    seen = perceive(Cloud(thin(points)))
+    apart_m, occlusion = 0.012, [each.occlusion for each in view.objects]
+    match = matched(view.places_m, seen.places_m, apart_m)
+    assert sorted(match.now.tolist()) == [0, 1, 2, 3]
+    np.testing.assert_allclose([seen.objects[k].occlusion for k in match.now], occlusion, atol=0.05)
+
+
+def test_points_that_are_too_far_apart_for_cups_are_refused():
+    points = draw(*FOUR).cloud.points_m
+    with pytest.raises(
+        CloudError, match=r"its points on the table are [23][0-9] mm apart, and cups take 20 mm at most"
+    ):
+        perceive(Cloud(voxels(points[np.isfinite(points[:, 2])], 0.03)))
+
+
+@pytest.mark.parametrize(
+    "axes", [np.diag([1.0, -1.0, -1.0]), [[0, -1, 0], [0, 0, -1], [1, 0, 0]]], ids=["OpenGL", "ROS"]
+)
+def test_points_in_axes_of_other_programs_show_the_same(axes):
+    drawn = draw(*PAIR)
+    view = perceive(drawn.cloud)
+    for shape in (None, drawn.cloud.shape):
+        seen = perceive(Cloud(drawn.cloud.points_m @ axes, shape))
+        match = matched(centroids(view) @ axes, centroids(seen), 0.005)
+        assert sorted(match.now.tolist()) == [0, 1]
+
+
+def front(radius_m, height_m, x_m, y_m, rng, num=900):
+    """Points of the half of a standing cylinder's wall that faces the camera, with noise."""
+    way, height = rng.uniform(np.pi, 2 * np.pi, num), rng.uniform(0.01, height_m, num)
+    across = radius_m + rng.normal(0.0, 0.001, num)
+    return np.stack([x_m + across * np.cos(way), y_m + across * np.sin(way), height], axis=1)
+
+
+@pytest.mark.parametrize("num", [2, 3, 4, 5])
+@pytest.mark.parametrize("seed", range(3))
+def test_cups_that_touch_are_divided_each_point_to_its_own(num, seed):
+    rng = np.random.default_rng(seed)
+    x_m = np.cumsum(rng.uniform(0.07, 0.08, num))
+    y_m = 0.03 * (np.arange(num) % 2)
+    cups = [front(rng.uniform(0.034, 0.036), rng.uniform(0.08, 0.13), *at, rng) for at in zip(x_m, y_m, strict=True)]
+    owner = np.repeat(np.arange(num), 900)
+    order = rng.permutation(len(owner))
+    found = divided(np.concatenate(cups)[order])
+    assert found is not None
+    pairs = np.zeros((num, num))
+    np.add.at(pairs, (owner[order], found), 1)
+    assert pairs[linear_sum_assignment(-pairs)].sum() > 0.98 * len(owner)
+
+
+@pytest.mark.parametrize("shape_m", [(0.2, 0.1, 0.12), (0.15, 0.15, 0.06), (0.12, 0.05, 0.16)])
+def test_the_faces_of_a_box_are_not_divided(shape_m):
+    rng, (width, _, height) = np.random.default_rng(0), shape_m
+    points = rng.uniform(0.0, 1.0, (3000, 3)) * shape_m
+    points[:1000, 1], points[1000:2000, 0], points[2000:, 2] = 0.0, width, height
+    assert divided(points + rng.normal(0.0, 0.001, points.shape)) is None
+
+
+def test_five_cans_that_touch_are_five_objects():
+    """Without a step in depth between them; three of them were one, and no vessel by its shape."""
+    ways = (0.4, 1.6, 3.0, 4.6)
+    cans = [Can(0.0, 0.0), *(Can(0.081 * np.cos(way), 0.081 * np.sin(way)) for way in ways)]
+    view = perceive(draw(*cans, noise_m=0.0015).cloud)
+    middles_m = np.array([camera_point(np.array([can.x_m, can.y_m, can.height_m / 2])) for can in cans])
+    assert sorted(matched(middles_m, centroids(view), 0.005).now.tolist()) == list(range(5))
+
+
+@pytest.mark.parametrize(
+    ("other", "num_cut"), [(Can(-0.43, -0.08, 0.06, 0.14), 1), (Can(0.0, -0.40, 0.03, 0.16), 0)], ids=["cut", "beside"]
+)
+def test_what_is_cut_or_beside_the_table_hides_and_is_no_object(other, num_cut):
+    """A can that nothing else hides; where the other thing counted for nothing, it was hidden by 0."""
+    can = Can(-0.40, 0.02, 0.04, 0.10) if num_cut else Can(0.03, -0.26, 0.04, 0.10)
+    drawn = draw(can, other)
+    assert 0.2 < drawn.occlusion[0] < 0.8
+    view = perceive(drawn.cloud)
+    assert (len(view.objects), view.num_cut) == (1, num_cut)
+    assert (drawn.labels.ravel()[view.objects[0].pixels] == 0).mean() > 0.95
+    assert view.labels.min() == -1
+    assert view.objects[0].occlusion == pytest.approx(drawn.occlusion[0], abs=0.04)
+    assert hidden_by_others(view, view.objects[0]) == view.objects[0].occlusion
+    assert "object 0 is hidden most, by something cut by the image border or beside the table" in sentence(view)
+
+
+def test_a_wall_behind_the_table_is_no_object_that_the_border_cuts():
+    view = perceive(draw(*PAIR, wall_m=TABLE_HALF_M[1] + 0.04).cloud)
+    assert (len(view.objects), view.num_cut) == (2, 0)
