@@ -315,7 +315,8 @@ class TrajectoryRecorder:
         checked_text(cause, f"trajectory {shown(self.name)}", "cause")
         if cause == STILL_RUNNING:
             raise LogError(
-                f"trajectory {shown(self.name)}: {cause} marks a trajectory that goes on; say what cut this one"
+                f"trajectory {shown(self.name)}: {cause} marks a trajectory in progress; give the cause that cut "
+                "this one"
             )
 
     def _running(self) -> TrajectoryState:
