@@ -284,7 +284,10 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written(refused, line, told
 @pytest.mark.usefixtures("unchanged")
 @pytest.mark.parametrize(
     ("line", "told"),
-    [("watch {table} --port", "--port is {port}"), ("serve policy --port", "--port {port}: nobody can serve there")],
+    [
+        ("watch {table} --port", "--port is {port}"),
+        ("serve policy --port", "--port {port}: the server cannot listen there"),
+    ],
 )
 def test_a_port_that_is_taken_is_refused(refused, line, told):
     with socket.create_server(("127.0.0.1", 0)) as taken:

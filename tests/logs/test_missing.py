@@ -87,7 +87,7 @@ def test_medians_and_flags_by_hand():
     }
     assert found.stage_covariates == ["x", "n", "on", "colour", "whole", "x_missing", "n_missing", "on_missing"]
     assert found.filling.fills["x"] == Fill(MEDIAN, 2.0, num_missing=2, has_flag=True)
-    assert found.filling.lines()[0] == "x is missing in 2 of 5 stages (40 %); the median 2 stands for it"
+    assert found.filling.lines()[0] == "x is missing in 2 of 5 stages (40 %); it is replaced by the median 2"
 
 
 def test_last_values_by_hand_and_the_median_before_the_first():
@@ -199,7 +199,7 @@ def test_a_column_that_is_not_there_is_filled_in_as_one_of_null(tmp_path, rule):
     lacking = Logs(logs.stages.drop(columns=["x", "colour"]), logs.trajectories, missing="keep")
     lacking.write(tmp_path / "lacking")
     null = Logs(logs.stages.assign(x=None, colour=None), logs.trajectories, missing=filling)
-    told = r"stages: there is no column '(x|colour)', and the .* for it in every stage"
+    told = r"stages: there is no column '(x|colour)'; it is replaced by the .* in every stage"
     with pytest.warns(HalfseenWarning, match=told):
         found = Logs(lacking.stages, logs.trajectories, missing=filling)
     pd.testing.assert_frame_equal(found.stages[list(null.stages)], null.stages)
@@ -214,10 +214,10 @@ def test_a_state_may_lack_what_is_looked_at_and_nothing_else_is_added():
     filling = Filling(fills, 10)
     state, said = filling.of_state({"x": np.nan, "other": 1}, ["x", "z"])
     assert state == {"x": 0.5, "other": 1}
-    assert said == {"x": "x is missing, and 0.5, the median of the logs, stands for it"}
+    assert said == {"x": "x is missing and is replaced by 0.5, the median of the logs"}
     assert filling.of_state({}, ["y_missing"], {"x": 3.0})[0] == {"y": 2.0, "y_missing": 1}
     assert filling.of_state({"x": None}, [], {"x": 3.0})[1] == {
-        "x": "x is missing, and 3, its last value, stands for it"
+        "x": "x is missing and is replaced by 3, its last value"
     }
     assert filling.of_state({"y": 1.0, "y_missing": 1}, ["y"])[0] == {"y": 1.0, "y_missing": 1}
     # Beside a median, truth values are numbers, as in a log.

@@ -59,7 +59,7 @@ class Fill:
     def stands(self) -> str:
         """Describe how it is filled in."""
         value = f"the median {self.value:.6g}" if self.is_number else f"the category {self.value!r}"
-        return f"the last value of its trajectory stands, or {value}," if self.rule == LAST else f"{value} stands"
+        return f"the last value of its trajectory, or {value}" if self.rule == LAST else value
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Filling:
         columns: dict[str, Any] = {}
         absent = self.absent_from(stages.columns)
         for name in absent:
-            warn("stages", f"there is no column {name!r}, and {self.fills[name].stands} for it in every stage")
+            warn("stages", f"there is no column {name!r}; it is replaced by {self.fills[name].stands} in every stage")
         full = stages.assign(**dict.fromkeys(absent)) if absent else stages
         for name in (name for name in self.fills if name in full.columns):
             columns |= _filled(full, name, self.fills[name], full["trajectory"])
@@ -147,7 +147,7 @@ class Filling:
                     continue
                 full[name] = value
                 shown = f"{value:.6g}" if isinstance(value, int | float) else repr(value)
-                said[name] = f"{name} is missing, and {shown}, {source}, stands for it"
+                said[name] = f"{name} is missing and is replaced by {shown}, {source}"
             elif fill.is_number and isinstance(state[name], bool):
                 # If the fill value is a median, convert truth values to numbers.
                 full[name] = float(state[name])
@@ -158,7 +158,7 @@ class Filling:
     def lines(self) -> list[str]:
         """Report for each covariate with missing values how often it was missing, and how it is filled in."""
         return [
-            f"{name} is missing in {share_of(fill.num_missing, self.num_stages)}; {fill.stands} for it"
+            f"{name} is missing in {share_of(fill.num_missing, self.num_stages)}; it is replaced by {fill.stands}"
             for name, fill in self.fills.items()
             if fill.num_missing
         ]
