@@ -1,4 +1,4 @@
-"""The behaviour policy beside scikit-learn, what it waives of a margin, and what a log of many actions prefers."""
+"""The behaviour policy beside scikit-learn, and what it waives of a margin."""
 
 from dataclasses import replace
 
@@ -12,16 +12,12 @@ from trials import log_of
 from halfseen.learning import CensoredQLearner, DiscretePolicy
 from halfseen.learning.behaviour import (
     MAX_STEPS,
-    RIDGES,
-    advantages,
     choice_probabilities,
     conditional_logit,
     excess_propensity,
     fit_choice,
     minimise_each,
-    preference_of,
 )
-from halfseen.logs import Logs
 
 
 def chosen(num_rows=300, seed=0):
@@ -167,124 +163,6 @@ def test_what_cannot_be_lowered_ends(value):
 
     assert minimise_each(cliff, np.zeros((1, 1))).tolist() == [[0.0]]
     assert len(asked) < MAX_STEPS
-
-
-ACTIONS = [f"a{a}" for a in range(10)]
-
-
-def preferring(seed, n=80, likes=1.0, pays=1.0, horizon=1):
-    """Action k is best where x is nearest to k; the log takes it with the odds exp(likes · how near)."""
-    rng = np.random.default_rng(seed)
-    x = rng.uniform(-0.5, 9.5, n * horizon)
-    near = -0.5 * np.abs(x[:, None] - np.arange(10))
-    odds = np.exp(likes * near)
-    chances = (odds / odds.sum(axis=1, keepdims=True)).cumsum(axis=1)
-    action = np.minimum((rng.random((len(x), 1)) > chances).sum(axis=1), 9)
-    reward = pays * near[np.arange(len(x)), action] + rng.normal(size=len(x))
-    return log_of([f"a{a}" for a in action], reward, num_stages=horizon, x=x)
-
-
-def laid_out(log):
-    model = CensoredQLearner(log.horizon, ACTIONS, ["x"]).compose(log)
-    return model.with_task([log], log).lay_out(log)
-
-
-def test_the_choice_is_that_of_scikit_learn_at_the_ridge_that_predicts_best():
-    from sklearn.linear_model import LogisticRegression
-
-    trajectories = laid_out(preferring(0))
-    x, taken = trajectories.features[:, 0, 0, :], trajectories.action[:, 0]
-    design = np.column_stack([np.ones(len(x)), (x - x.mean()) / x.std()])
-    fold, likelihood = np.arange(len(x)) % 5, []
-
-    def peer(ridge, rows):
-        return LogisticRegression(C=1.0 / ridge, fit_intercept=False, tol=1e-8, max_iter=10_000).fit(*rows)
-
-    for ridge in RIDGES:
-        found = 0.0
-        for k in range(5):
-            known = peer(ridge, (design[fold != k], taken[fold != k]))
-            of_action = {a: i for i, a in enumerate(known.classes_)}
-            log_chance = known.predict_log_proba(design[fold == k])
-            assert len(of_action) == 10, "an action that a fold lacks would be another model"
-            found += sum(row[of_action[a]] for row, a in zip(log_chance, taken[fold == k], strict=True))
-        likelihood.append(found)
-    best = peer(RIDGES[int(np.argmax(likelihood))], (design, taken)).coef_
-    slopes = best[:, 1] / x.std()
-    expected = np.column_stack([best[:, 0] - slopes * x.mean(), slopes])
-    np.testing.assert_allclose(preference_of(trajectories, 80).behaviour, expected, atol=2e-3)
-
-
-def test_advantages_are_those_of_a_loop():
-    stages = {
-        "trajectory": [0, 0, 0, 1, 1, 2],
-        "stage": [1, 2, 3, 1, 2, 1],
-        "elapsed_s": [1.0, 2.0, 3.0, 1.0, None, 1.0],
-        "reward": [1.0, -2.0, 0.5, 3.0, None, 2.0],
-        "action": ["a0", "a1", "a2", "a3", "a4", "a5"],
-        "x": [0.3, -1.0, 0.7, 1.2, -0.4, 0.1],
-    }
-    ends = {"trajectory": [0, 1, 2], "end_s": [3.0, 1.5, 1.0], "ending": ["finished", "cut", "finished"]}
-    trajectories = laid_out(Logs(stages=stages, trajectories=ends))
-    x = np.array([[0.3, -1.0, 0.7], [1.2, -0.4, 0.0], [0.1, 0.0, 0.0]])
-    reward, followed = [[1.0, -2.0, 0.5], [3.0], [2.0]], [[True, True, False], [True], [False]]
-
-    def features(i, t):
-        return np.array([1.0, t / 3, x[i, t], x[i, t] ** 2])
-
-    left, right = np.diag([0.0, 3.0, 3.0, 3.0]), np.zeros(4)
-    for i, rewards in enumerate(reward):
-        for t, r in enumerate(rewards):
-            after = features(i, t + 1) if followed[i][t] else np.zeros(4)
-            left += np.outer(features(i, t), features(i, t) - after)
-            right += features(i, t) * r
-    value, expected = np.linalg.solve(left, right), np.zeros((3, 3))
-    for i, rewards in enumerate(reward):
-        for t, r in enumerate(rewards):
-            after = features(i, t + 1) @ value if followed[i][t] else 0.0
-            expected[i, t] = r + after - features(i, t) @ value
-    np.testing.assert_allclose(advantages(trajectories, x[..., None]), expected, atol=1e-10)
-
-
-def test_it_counts_for_two_standard_errors_and_vanishes_as_a_log_grows():
-    trajectories = laid_out(preferring(1))
-    x = trajectories.features[..., 0, :]
-    noise = np.sqrt(np.mean(advantages(trajectories, (x - x.mean()) / x.std()) ** 2))
-    weight = [preference_of(trajectories, num).behaviour_weight for num in (10, 20, 80, 8_000_000)]
-    np.testing.assert_allclose(weight, 2.0 * noise * np.sqrt([1.0, 1.0, 20 / 80, 20 / 8e6]))
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_log_that_does_what_hurts_is_not_followed(seed):
-    learner = CensoredQLearner(1, ACTIONS, ["x"]).fit(preferring(seed, pays=-3.0))
-    assert learner.policy_.behaviour_weight == 0
-    assert "has no weight" in learner.chosen_[0]
-    assert CensoredQLearner(1, ACTIONS, ["x"]).fit(preferring(seed)).policy_.behaviour_weight > 0
-
-
-def test_scores_are_q_less_margins_and_what_the_log_prefers():
-    learner = CensoredQLearner(1, ACTIONS, ["x"]).fit(preferring(2))
-    policy, frame = learner.policy_, pd.DataFrame({"x": [0.0, 4.2, 9.0]})
-    utility = policy.behaviour[:, 0] + frame.to_numpy() @ policy.behaviour[:, 1:].T
-    prefers = utility - np.log(np.exp(utility).sum(axis=1, keepdims=True))
-    without = replace(policy, behaviour_weight=0.0).scores(frame, 1)
-    np.testing.assert_allclose(policy.scores(frame, 1), without + policy.behaviour_weight * prefers)
-    assert "of reward for each factor of e" in learner.chosen_[0]
-
-
-def worth(policy):
-    """Mean of what a policy of these worlds earns."""
-    x = np.linspace(-0.5, 9.5, 1001)
-    return float(np.mean(-0.5 * np.abs(x - np.array([int(a[1:]) for a in policy.decide(pd.DataFrame({"x": x}), 1)]))))
-
-
-@pytest.mark.slow
-def test_few_trajectories_earn_what_the_log_does_and_more_than_q_alone():
-    policies = [CensoredQLearner(1, ACTIONS, ["x"]).fit(preferring(seed, n=40, pays=0.3)).policy_ for seed in range(20)]
-    own = np.mean([preferring(seed, n=2000, pays=1.0).stages["reward"].mean() for seed in range(5)])
-    found = np.array([worth(policy) for policy in policies])
-    alone = np.array([worth(replace(policy, behaviour_weight=0.0)) for policy in policies])
-    assert found.mean() > max(own, alone.mean())
 
 
 def test_without_pessimism_there_is_nothing_to_waive():

@@ -12,31 +12,14 @@ deviations from it must be clearly better, as in safe policy improvement [Laroch
 The logit is fitted by Newton steps of bounded length (`minimise_each`), for several smooth functions of few variables
 at once. Where a function is not convex, the absolute eigenvalues of its Hessian are used, so that each step is a
 descent direction [NocedalWright2006]_. A step that did not lower its function is retried with a shorter length.
-
-*Preference.* If many actions share few stages, the behaviour policy decides where Q cannot (behaviour regularisation):
-
-    argmax_a  Q̂(S, a) − margin + τ·log b(a | S)
-
-is the mode of the policy whose Q is regularised by the Kullback–Leibler divergence from b [WuTuckerNachum2019]_. Three
-quantities are estimated:
-
-- *b* is a multinomial logit, shrunk towards uniform choice by the penalty that predicts held-out trajectories best. A
-  log of uniform choices has no preference.
-- *τ* = 2 σ √(p / n_a), two standard errors of Q: σ is the noise of its targets, p the number of coefficients of an
-  action, n_a its mean number of completed stages; at most 2 σ. It vanishes as a log grows.
-- *Trust*: following b must not have hurt. The advantage A_t = R_t + V̂(S_{t+1}) − V̂(S_t) of the logged action, V̂ the
-  value of b by least squares [BradtkeBarto1996]_, is correlated with how much b, fitted to other trajectories,
-  preferred that action. Let z be the sum of the products divided by its standard error over trajectories: τ counts
-  fully where z ≥ 0, and not at all where z ≤ −1.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from halfseen.arrays import library_of
-from halfseen.learning.rows import TrajectoryArrays
 from halfseen.shapes import Bool, Float, Int
 
 Thetas = Float[np.ndarray, "K p"]
@@ -146,19 +129,20 @@ def fit_choice(
     weight
         Weight of each row; None for 1.
     """
-    mean, scale = _mean_and_scale(features[is_possible])
+    mean, scale = mean_and_scale(features[is_possible])
     design = np.ones((*taken.shape, len(blocks), 1 + features.shape[-1]))
     design[..., 1:] = np.where(is_possible[..., None], (features - mean) / scale, 0.0)
     beta = _fitted_logit(design, is_possible, taken, blocks, np.ones(len(taken)) if weight is None else weight)
-    return _unscaled(beta, mean, scale)
+    return unscaled(beta, mean, scale)
 
 
-def _mean_and_scale(features: Float[np.ndarray, "rows F"]) -> tuple[Float[np.ndarray, " F"], Float[np.ndarray, " F"]]:
+def mean_and_scale(features: Float[np.ndarray, "rows F"]) -> tuple[Float[np.ndarray, " F"], Float[np.ndarray, " F"]]:
+    """Mean and standard deviation of each feature; 1 instead of a deviation of 0."""
     mean, spread = features.mean(axis=0), features.std(axis=0)
     return mean, np.where(spread > 0, spread, 1.0)
 
 
-def _unscaled(
+def unscaled(
     beta: Float[np.ndarray, "K F1"], mean: Float[np.ndarray, " F"], scale: Float[np.ndarray, " F"]
 ) -> Float[np.ndarray, "K F1"]:
     """Coefficients of the unscaled features, the intercept first."""
@@ -234,115 +218,3 @@ def _curvature(
         flat, own = part.reshape(-1, num_features), slice(k * num_features, (k + 1) * num_features)
         curvature[own, own] += flat.T @ (flat * (weight[:, None] * p).reshape(-1, 1))
     return curvature
-
-
-RIDGES = (256.0, 64.0, 16.0, 4.0, 1.0)
-"""Penalties ½·ridge·‖β‖² on standardised covariates and intercepts, added to a summed log-likelihood."""
-NUM_FOLDS = 5
-VALUE_RIDGE = 3.0
-"""Ridge penalty of V̂."""
-STANDARD_ERRORS = 2.0
-"""τ in standard errors of Q."""
-
-
-class Preference(NamedTuple):
-    """The behaviour policy and the weight of its preference."""
-
-    behaviour: Float[np.ndarray, "A F1"]
-    """Coefficients of b on the covariates, the intercept first."""
-    behaviour_weight: float
-    """τ [reward per nat]; 0 if following b has hurt."""
-
-
-class _Choices(NamedTuple):
-    """Stages with known state and action."""
-
-    covariates: Float[np.ndarray, "rows F"]
-    """Standardised."""
-    is_possible: Bool[np.ndarray, "rows A"]
-    taken: Int[np.ndarray, " rows"]
-
-    def at(self, rows: Bool[np.ndarray, " rows"]) -> "_Choices":
-        return _Choices(*(each[rows] for each in self))
-
-    def log_chances(self, beta: Float[np.ndarray, "A F1"]) -> Float[np.ndarray, "rows A"]:
-        return log_chances(beta[:, 0] + self.covariates @ beta[:, 1:].T, self.is_possible)
-
-    def fitted(self, ridge: float, start: Float[np.ndarray, "A F1"] | None = None) -> Float[np.ndarray, "A F1"]:
-        """Fit a multinomial logit, shrunk towards uniform choice."""
-        import scipy.optimize
-
-        rows, shape = np.arange(len(self.taken)), (self.is_possible.shape[1], self.covariates.shape[1] + 1)
-        design = np.column_stack([np.ones(len(rows)), self.covariates])
-
-        def loss_and_slope(flat: Float[np.ndarray, " P"]) -> tuple[float, Float[np.ndarray, " P"]]:
-            beta = flat.reshape(shape)
-            log_chance = self.log_chances(beta)
-            miss = np.exp(log_chance)
-            miss[rows, self.taken] -= 1.0
-            loss = -log_chance[rows, self.taken].sum() + 0.5 * ridge * (flat @ flat)
-            return float(loss), (miss.T @ design + ridge * beta).ravel()
-
-        first = np.zeros(shape) if start is None else start
-        return scipy.optimize.minimize(loss_and_slope, first.ravel(), jac=True, method="L-BFGS-B").x.reshape(shape)
-
-    def lead(self, log_chance: Float[np.ndarray, "rows A"]) -> Float[np.ndarray, " rows"]:
-        """Log probability of the action taken, less its mean under the policy [nat]."""
-        finite = np.where(self.is_possible, log_chance, 0.0)
-        expected = (np.where(self.is_possible, np.exp(log_chance), 0.0) * finite).sum(axis=1)
-        return log_chance[np.arange(len(log_chance)), self.taken] - expected
-
-
-def preference_of(trajectories: TrajectoryArrays, num_completed: int) -> Preference:
-    """Estimate the preference of a log of named actions from a sample; the log has `num_completed` completed stages."""
-    known = trajectories.is_begun & trajectories.has_action
-    covariates = trajectories.features[..., 0, :]
-    mean, scale = _mean_and_scale(covariates[known])
-    standard = np.where(trajectories.is_begun[..., None], (covariates - mean) / scale, 0.0)
-    choices = _Choices(standard[known], trajectories.is_possible[known], trajectories.action[known])
-    fold = np.broadcast_to(np.arange(len(known))[:, None] % NUM_FOLDS, known.shape)[known]
-    ridge, held_out = _held_out(choices, fold)
-    beta, advantage = choices.fitted(ridge), advantages(trajectories, standard)
-    share = min(1.0, beta.size / max(num_completed, 1))
-    noise = float(np.sqrt(np.mean(advantage[trajectories.is_completed] ** 2)))
-    lead = np.zeros(known.shape)
-    lead[known] = choices.lead(held_out)
-    paid = (lead * advantage).sum(axis=1)
-    error = float(np.sqrt((paid**2).sum()))
-    trust = float(np.clip(1.0 + (float(paid.sum()) / error if error > 0 else 0.0), 0.0, 1.0))
-    return Preference(_unscaled(beta, mean, scale), trust * STANDARD_ERRORS * noise * share**0.5)
-
-
-def advantages(trajectories: TrajectoryArrays, covariates: Float[np.ndarray, "n T F"]) -> Float[np.ndarray, "n T"]:
-    """Return above V̂ of each completed stage; 0 for other stages.
-
-    V̂ is linear in the stage, in the covariates, which are standardised and 0 where no stage began, and in their
-    squares.
-    """
-    done, horizon = trajectories.is_completed, covariates.shape[1]
-    stage = np.broadcast_to(np.arange(horizon)[:, None] / horizon, (*covariates.shape[:2], 1))
-    design = np.concatenate([np.ones_like(stage), stage, covariates, covariates**2], axis=-1)
-    after = np.zeros_like(design)
-    after[:, :-1] = design[:, 1:]
-    goes_on = done & ~trajectories.is_last
-    step = design[done] - np.where(goes_on[done][:, None], after[done], 0.0)
-    penalty = VALUE_RIDGE * np.diag(np.arange(design.shape[-1]) > 0)
-    value = np.linalg.lstsq(design[done].T @ step + penalty, design[done].T @ trajectories.reward[done], rcond=None)[0]
-    found = np.zeros(done.shape)
-    found[done] = trajectories.reward[done] - step @ value
-    return found
-
-
-def _held_out(choices: _Choices, fold: Int[np.ndarray, " rows"]) -> tuple[float, Float[np.ndarray, "rows A"]]:
-    """Return the ridge penalty that predicts held-out trajectories best, and those predictions."""
-    each = np.zeros((len(RIDGES), *choices.is_possible.shape))
-    for number in range(NUM_FOLDS):
-        is_held_out, start = fold == number, None
-        if is_held_out.all() or not is_held_out.any():
-            continue
-        for r, ridge in enumerate(RIDGES):
-            start = choices.at(~is_held_out).fitted(ridge, start)
-            each[r, is_held_out] = choices.at(is_held_out).log_chances(start)
-    likelihood = each[:, np.arange(len(fold)), choices.taken].sum(axis=1)
-    best = int(np.argmax(likelihood))
-    return RIDGES[best], each[best]

@@ -254,7 +254,7 @@ class CensoredQLearner(Estimator):
         promises too much (`promise`), and linear in the features that a task defines for each action. Pessimism is 2/√T
         for each of T stages, because their margins add up, and 0, i.e. eq. 3 unchanged, if `censoring` is given. With
         pessimism and eight actions or more, the actions are partially pooled (`recursion`), and the policy prefers the
-        actions of the log where their Qs do not differ clearly (`behaviour`).
+        actions of the log where their Qs do not differ clearly (`preference`).
         """
         check_seed(self.random_state)
         task, is_fixed = self._task(), not _is_auto(self.censoring)

@@ -12,9 +12,10 @@ import numpy as np
 from halfseen.censoring import CensoringSpec, CutModel
 from halfseen.censoring.clocks import StageClocks
 from halfseen.errors import ArgumentError
-from halfseen.learning.behaviour import fit_choice, preference_of, seen_among
+from halfseen.learning.behaviour import fit_choice, seen_among
 from halfseen.learning.imputation import DurationModel, fit_duration_model, imputation
 from halfseen.learning.named_task import NamedActions
+from halfseen.learning.preference import preference_of
 from halfseen.learning.q_space import (
     CrossValidation,
     KernelMap,
