@@ -388,7 +388,7 @@ def test_a_flag_of_missing_values_may_come_now_and_then_if_it_is_a_number_or_a_t
             seen = {"x": 0.5} | ({"x_missing": flag} if stage == 2 else {})
             if stage == 2 and read is None:
                 # With nothing to stand where it is not, the log could not be read.
-                with refused("covariate x_missing was not there before", LogError):
+                with refused("covariate x_missing was not given before", LogError):
                     trajectory.begin_stage(seen, action="A")
                 del seen["x_missing"]
             trajectory.begin_stage(seen, action="A")
