@@ -192,19 +192,19 @@ def test_what_is_too_large_is_refused_unread(place, name):
     assert any(word in refused(READERS[name], place / name) for word in ("65,000 MB", "missing"))
 
 
-NO_BAG, MINARI = "it is no whole bag .*ros2 bag reindex", "flat-v0/data/main_data.hdf5"
+NO_BAG, MINARI = "it is not a complete bag .*ros2 bag reindex", "flat-v0/data/main_data.hdf5"
 NO_DATABASE = (
     r"cell\.db: trajectories(, row 0: trajectory is null|: column 'ending' holds .* the character NUL)"
     r"|cell\.db, stages: the database refuses .*(malformed|disk image|no such)"
 )
 TORN = [
     *((f"steps.{kind}", steps, "steps") for kind in ("parquet", "csv", "feather", "arrow")),
-    ("steps.hdf5", read_step_arrays, r"steps\.hdf5: it is no whole HDF5 file of steps"),
+    ("steps.hdf5", read_step_arrays, r"steps\.hdf5: it is not a complete HDF5 file of steps"),
     *((name, read, NO_BAG) for name in ("db3/db3.db3", "chunks/chunks.mcap") for read in (ros, folder_of_ros)),
-    ("cell.mcap", mcap, "it is no whole bag"),
+    ("cell.mcap", mcap, "it is not a complete bag"),
     (MINARI, minari, "flat-v0: "),
     ("cell.db", database, NO_DATABASE),
-    ("events.parquet", events, r"events\.parquet: it is no whole table"),
+    ("events.parquet", events, r"events\.parquet: it is not a complete table"),
 ]
 """File, what reads it, and what is said where it broke off."""
 

@@ -27,9 +27,9 @@ def test_what_is_no_file_is_refused_and_nothing_hangs(tmp_path):
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(tmp_path / "socket"))
         for name, kind in (("pipe", "a pipe"), ("socket", "a socket"), (".", "a folder"), ("zero", "a device")):
-            with pytest.raises(OSError, match=f"it is {kind} and no file"):
+            with pytest.raises(OSError, match=f"it is {kind}, not a file"):
                 read_bytes(tmp_path / name)
-    with pytest.raises(OSError, match=r"where the link leads \(/dev/zero\)"):
+    with pytest.raises(OSError, match=r"the link leads to /dev/zero"):
         read_text(tmp_path / "zero")
     with pytest.raises(FileNotFoundError):
         read_bytes(tmp_path / "none")
@@ -38,7 +38,7 @@ def test_what_is_no_file_is_refused_and_nothing_hangs(tmp_path):
 def test_a_pipe_that_takes_the_place_of_a_file_is_neither_waited_for_nor_read(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "pipe")
     monkeypatch.setattr("halfseen.reading.check_file", lambda *_: 0)
-    with pytest.raises(OSError, match="it is a pipe and no file"):
+    with pytest.raises(OSError, match="it is a pipe, not a file"):
         read_bytes(tmp_path / "pipe")
 
 
@@ -82,10 +82,10 @@ def test_a_file_that_is_too_large_is_refused_unless_that_is_meant(tmp_path, monk
         ("[" * 100_000, "nested more than 64 levels"),
         ("[" * 66 + "]" * 66, "nested more than 64 levels"),
         ('{"a":' * 200 + "1" + "}" * 200, "nested more than 64 levels"),
-        ("NaN", "NaN is no number of JSON"),
-        ("[1e999]", "1e999 is no number of JSON"),
-        ("9" * 5000, "no whole number of 64 bits"),
-        (str(2**64), "no whole number of 64 bits"),
+        ("NaN", "NaN is not a JSON number"),
+        ("[1e999]", "1e999 is not a JSON number"),
+        ("9" * 5000, "not a 64-bit whole number"),
+        (str(2**64), "not a 64-bit whole number"),
         ("{", "Expecting"),
         (b"\xff\xfe\x00", "decode"),
         ('{"a": {"b": 1, "c": 2, "b": 1}}', "'b' is given twice in an object"),
@@ -136,7 +136,7 @@ def test_arrays_that_state_more_than_is_there_are_refused_before_they_are_asked_
             read_arrays(tmp_path / "a.npz")
     for content in (b"", b"hello there", b"PK\x03\x04" + b"\0" * 100):
         (tmp_path / "a.npz").write_bytes(content)
-        with pytest.raises(ValueError, match=r"cut short or no .npz file"):
+        with pytest.raises(ValueError, match=r"cut short, or not an .npz file"):
             read_arrays(tmp_path / "a.npz")
 
 

@@ -36,7 +36,7 @@ class Estimator:
         for name, value in params.items():
             if name not in known:
                 there = ", ".join(known) or "none"
-                raise ArgumentError(f"{type(self).__name__} has no parameter {name}; there are: {there}")
+                raise ArgumentError(f"{type(self).__name__} has no parameter {name}; choose among {there}")
             setattr(self, name, value)
         return self
 

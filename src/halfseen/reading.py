@@ -213,7 +213,7 @@ def read_arrays(path: Path, names: Collection[str] | None = None, most_bytes: in
             check_unpacked(num_bytes, sum(info.file_size for info in wanted.values()))
             return {name: _array(archive, info) for name, info in wanted.items()}
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
-        raise ValueError(f"cut short or no .npz file: {reason_of(error)}") from error
+        raise ValueError(f"cut short, or not an .npz file: {reason_of(error)}") from error
 
 
 def names_in_archive(path: Path, most_bytes: int = NUMBERS) -> list[str]:
@@ -222,7 +222,7 @@ def names_in_archive(path: Path, most_bytes: int = NUMBERS) -> list[str]:
         with opened(path, most_bytes) as file, zipfile.ZipFile(file) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist()]
     except (zipfile.BadZipFile, EOFError, NotImplementedError) as error:
-        raise ValueError(f"cut short or no .npz file: {reason_of(error)}") from error
+        raise ValueError(f"cut short, or not an .npz file: {reason_of(error)}") from error
 
 
 def reason_of(error: Exception) -> str:
@@ -268,8 +268,8 @@ def refused(
 def _checked(status: os.stat_result, path: Path, most_bytes: int) -> int:
     if not stat.S_ISREG(status.st_mode):
         kind = next((kind for is_kind, kind in _KINDS if is_kind(status.st_mode)), "something else")
-        link = f", where the link leads ({os.path.realpath(path)})" if path.is_symlink() else ""
-        raise OSError(EINVAL, f"it is {kind} and no file{link}; give a file", str(path))
+        link = f" (the link leads to {os.path.realpath(path)})" if path.is_symlink() else ""
+        raise OSError(EINVAL, f"it is {kind}, not a file{link}; give a file", str(path))
     if status.st_size > _most(most_bytes):
         raise OSError(EFBIG, _too_large(status.st_size, most_bytes), str(path))
     return status.st_size
@@ -279,12 +279,12 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
     with archive.open(info) as member:
         version = np.lib.format.read_magic(member)
         if version not in _HEADERS:
-            raise ValueError(f"{info.filename} has the version {version} of its format, which is not read")
+            raise ValueError(f"{info.filename} has the version {version} of its format, which is not supported")
         shape, _, dtype = _HEADERS[version](member)
         if dtype.hasobject:
             raise ValueError(f"{info.filename} holds objects; only plain arrays are read, never pickled objects")
         if member.tell() + prod(shape) * dtype.itemsize != info.file_size:
-            raise ValueError(f"{info.filename} announces {dtype} of shape {shape} and holds {info.file_size} bytes")
+            raise ValueError(f"{info.filename} announces {dtype} of shape {shape}, but holds {info.file_size} bytes")
     with archive.open(info) as member:
         return np.lib.format.read_array(member, allow_pickle=False)
 
@@ -299,7 +299,7 @@ def _parsed(parse: Callable[[], Any]) -> Any:
 def _whole(digits: str) -> int:
     number = int(digits) if len(digits) <= 20 else 2**64
     if not -(2**63) <= number < 2**64:
-        raise ValueError(f"{digits[:24]}… is no whole number of 64 bits")
+        raise ValueError(f"{digits[:24]}… is not a 64-bit whole number")
     return number
 
 
@@ -309,7 +309,7 @@ def _number(digits: str) -> float:
 
 
 def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no number of JSON")
+    raise ValueError(f"{name} is not a JSON number")
 
 
 def _most(most_bytes: int) -> int:
@@ -320,5 +320,5 @@ def _most(most_bytes: int) -> int:
 def _too_large(num_bytes: int, most_bytes: int) -> str:
     return (
         f"it has {num_bytes / 1e6:,.0f} MB, and at most {_most(most_bytes) / 1e6:,.0f} MB are read; give a smaller "
-        f"one, or set {LARGEST_MB} if it is meant"
+        f"one, or set {LARGEST_MB} to allow it"
     )

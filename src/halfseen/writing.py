@@ -36,7 +36,7 @@ def write_file(target: Path, content: str | bytes) -> None:
     try:
         if target.exists() and not target.is_file():
             kind = "a folder" if target.is_dir() else "a device, a pipe or the like"
-            raise ArgumentError(f"{target}: it is {kind}, and no file; choose another name")
+            raise ArgumentError(f"{target}: it is {kind}, not a file; choose another name")
         target.parent.mkdir(parents=True, exist_ok=True)
         fresh.write_bytes(content.encode() if isinstance(content, str) else content)
         fresh.replace(target)
@@ -119,7 +119,7 @@ def refuse_unwritable(target: Path) -> None:
     except OSError as error:
         raise _unwritable(target, error) from error
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
-        kind = "may not be written by you" if nearest.is_dir() else "is no folder"
+        kind = "may not be written by you" if nearest.is_dir() else "is not a folder"
         raise ArgumentError(f"{target}: cannot be written, as {nearest} {kind}; choose another folder")
 
 
@@ -189,8 +189,8 @@ def held_alone(folder: Path, what: str) -> Iterator[None]:
     try:
         if not is_locked(descriptor):
             raise ArgumentError(
-                f"{folder}: another {what} writes into it; wait for its end, or choose another folder (the lock goes "
-                "with its process: there is nothing to remove after a crash)"
+                f"{folder}: another {what} is writing into it; wait until it ends, or choose another folder (the "
+                "lock ends with its process: nothing needs removing after a crash)"
             )
         yield
     finally:
@@ -225,7 +225,7 @@ def _put(fresh: Path, target: Path) -> None:
     except OSError as error:
         if error.errno in (EEXIST, ENOTEMPTY, ENOTDIR) and os.path.lexists(target):
             raise ArgumentError(
-                f"{target}: somebody else wrote it in the meantime; what is there stays: choose another folder"
+                f"{target}: another process wrote it in the meantime, and it is kept; choose another folder"
             ) from error
         raise
 

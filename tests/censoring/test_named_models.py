@@ -123,7 +123,7 @@ def test_models_keep_scikit_learns_habits(model, parameters, text):
     copy = clone(model)
     assert (copy.get_params(), repr(copy)) == (parameters, text)
     assert not is_fitted(copy)
-    with pytest.raises(ValueError, match=f"{type(model).__name__} has no parameter alpha; there are: "):
+    with pytest.raises(ValueError, match=f"{type(model).__name__} has no parameter alpha; choose among "):
         model.set_params(alpha=1.0)
 
 

@@ -147,7 +147,7 @@ def test_a_picture_is_drawn_and_stands_for_nothing_that_is_there(sure, tmp_path)
 def test_a_table_of_other_things_is_told_of_first(tables, tmp_path):
     write_pcd(boxes_cloud(), tmp_path / "boxes.pcd")
     lines = run(tables, tmp_path / "boxes.pcd").splitlines()
-    assert lines[0].startswith("warning: this is no table of cups, and of other things nothing was learned: 0 is ")
+    assert lines[0].startswith("warning: this is not a table of cups, and nothing was learned about other objects: 0 ")
     assert lines[1].split()[0] in ("WASH", "LIFT", "FINISH")
     assert f"warning: {report_of(tables, tmp_path / 'boxes.pcd')['warnings'][0]}" == lines[0]
     assert "table of cups" not in run(tables, TABLE)

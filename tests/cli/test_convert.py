@@ -114,10 +114,7 @@ def test_what_fits_not_together_is_refused(logs):
         ("--step-s is for a source of kind minari", ("a", "--out", "b", "--step-s", "0")),
         ("none.toml: it cannot be read", ("bag", "--mapping", "none.toml", "--out", "b")),
         ("empty", ("empty", "--out", "b")),
-        *(
-            ("it is no name of a dataset", ("a", "--out", f"minari:{name}"))
-            for name in ("x", "x-v0/../../y", "", "a b")
-        ),
+        *(("it is not a dataset name", ("a", "--out", f"minari:{name}")) for name in ("x", "x-v0/../../y", "", "a b")),
         # No clouds are left where the logs cannot be written, and neither takes a place of the other.
         ("cannot be written", (*of_bag, "file/logs", "--clouds", "clouds")),
         *(
@@ -221,12 +218,12 @@ def test_a_folder_of_tables_is_one_table(place):
     assert same(read_logs("logs"), read_logs("all"))
     assert 'field = "Lauf"' in run("days", "--mapping-template").output
     Path("days/tuesday.csv").write_text((heading + "".join(rows[9:])).replace("1,5", "much"), encoding="utf-8")
-    assert "days, file tuesday.csv, line 3, column 'Wert': 'much' is no number" in refusal(
+    assert "days, file tuesday.csv, line 3, column 'Wert': 'much' is not a number" in refusal(
         "days", "--mapping", "events.toml", "--out", "x"
     )
     Path("days/._monday.csv").write_bytes(b"\0")  # as a Mac leaves beside each file on foreign disks
     Path("days/tuesday.csv").write_text("a;b\n1;2\n")
-    assert "tuesday.csv: its columns are not those of days/monday.csv ('Ereignis', " in refusal(
+    assert "tuesday.csv: its columns differ from those of days/monday.csv ('Ereignis', " in refusal(
         "days", "--mapping", "events.toml", "--out", "x"
     )
 
@@ -287,15 +284,15 @@ def test_who_has_a_table_and_no_mapping_hears_of_the_command_that_makes_one(plac
             assert f"halfseen convert {quoted} --mapping-template --out cell.toml" in err
     (place / "book.xlsx").write_bytes(b"PK")
     assert "book.xlsx: workbooks are not read; save the sheet as CSV" in refusal("book.xlsx", "--out", "logs")
-    assert "`halfseen convert --help` says which files are read" in typed("inspect", "book.xlsx").err
+    assert "`halfseen convert --help` lists the files that are read" in typed("inspect", "book.xlsx").err
     (place / "events.csv.GZ").write_bytes(b"\x1f\x8b")
-    assert "unpack it, and read what it holds" in refusal("events.csv.GZ", "--out", "logs")
+    assert "unpack it, and read its contents" in refusal("events.csv.GZ", "--out", "logs")
     (place / "MORE.CSV").write_text(GERMAN, encoding="cp1252")
     assert "halfseen convert MORE.CSV --mapping-template --out cell.toml" in typed("inspect", "MORE.CSV").err
     broken = GERMAN.replace("1,25", "viel")
     (place / "events.csv").write_text(broken, encoding="cp1252")
     (place / "cell.toml").write_text(HISTORIAN, encoding="utf-8")
-    assert "events.csv, line 4, column 'Wert': 'viel' is no number" in refusal(
+    assert "events.csv, line 4, column 'Wert': 'viel' is not a number" in refusal(
         "events.csv", "--mapping", "cell.toml", "--out", "logs"
     )
 
@@ -339,7 +336,7 @@ def test_what_is_lost_or_kept_for_halfseen_alone_is_told_of_what_is_written(logs
     told = run("a", "--out", "csv:b").output.splitlines()[1:]
     assert told == [
         "What is lost:",
-        "- trajectories: column 'serial' comes back as pandas keeps such values, not as int32[pyarrow]",
+        "- trajectories: column 'serial' is read back as pandas stores such values, not as int32[pyarrow]",
     ]
     checked = run("a", "--out", "minari:c-v0", "--check")
     assert checked.exit_code == 1

@@ -121,7 +121,7 @@ def test_from_the_shell(folder, refused):
     assert good.stdout.startswith("3 trajectories")
     assert good.stderr == ""
     (folder / "stages.parquet").write_bytes(b"PAR1 and no more")
-    assert "stages.parquet: it is no whole Parquet file" in refused("inspect", folder)
+    assert "stages.parquet: it is not a complete Parquet file" in refused("inspect", folder)
 
 
 reported = partial(shell.run, "report")
@@ -150,7 +150,7 @@ def test_says_the_answer_and_where_the_page_is_and_the_same_again(judged, tmp_pa
     assert f"halfseen report {judged / 'logs'} {judged / 'policy'} --replicates 4 --seed 2" in page
 
     def refuse(name):
-        raise AssertionError(f"{name} is no number of JSON")
+        raise AssertionError(f"{name} is not a JSON number")
 
     numbers = json.loads(second.stdout, parse_constant=refuse)
     assert numbers["value"]["sentence"] == answer

@@ -206,7 +206,7 @@ def test_many_stages_are_read_in_passes_and_few_are_not(folder, tmp_path, monkey
     assert not isinstance(stream.opened(folder / "flat", streaming=False), LogStream)
     # Other forms are not.
     write_csv(flat_log(), tmp_path / "csv")
-    with pytest.raises(LogError, match="only folders of Parquet files are read in passes; make one of it"):
+    with pytest.raises(LogError, match="only folders of Parquet files are read in passes; convert it"):
         stream.opened(tmp_path / "csv", streaming=True)
 
 

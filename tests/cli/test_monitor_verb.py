@@ -81,7 +81,7 @@ def test_a_log_that_another_policy_made_is_status_2_as_nothing_watches_this_one(
     Logs(logs.stages.assign(**done), logs.trajectories).write(tmp_path / "other")
     result = told(folders / "policy", "--logs", tmp_path / "other", *how)
     assert result.exit_code == 2
-    assert result.output.startswith("Only 0% of the actions are the policy's: this log is not of its service")
+    assert result.output.startswith("Only 0% of the actions are the policy's: this log is not from its service")
 
 
 def test_after_mending_it_watches_anew(folders, tmp_path):

@@ -90,11 +90,11 @@ REFUSED = [
     ("act policy {table}", "looks at x1, x2, not at clouds"),
     ("act table-policy s.json", "the policy is of tables"),
     ("act policy other.json", "'x2' is missing (given: x1, y)"),
-    ("act policy nan.json", "NaN is no number of JSON"),
+    ("act policy nan.json", "NaN is not a JSON number"),
     ("act policy many.json", "is not numeric"),
     ("act policy list.json", "it holds 0 states"),
     ("act policy torn.json", "it cannot be read"),
-    ("act policy large.json", "no whole number of 64 bits"),
+    ("act policy large.json", "not a 64-bit whole number"),
     ("act policy two.csv", "it holds 2 states"),
     ("act policy none.csv", "it cannot be read"),
     ("act policy twice.csv", "two columns are called 'x1'"),
@@ -167,7 +167,7 @@ REFUSED = [
     ),
     ("evaluate table-policy --world --team two.toml", "for a single robot, but two.toml has a team of 2"),
     ("export policy --onnx policy.bin", "ends in .onnx"),
-    ("learn none --out new", "there is no such folder"),
+    ("learn none --out new", "no such folder"),
     ("learn cut --out new", "all 2 trajectories were cut"),
     ("learn logs --out new --covariates x1,x9", "names 'x9'"),
     ("learn logs --out new --covariates colour", "is 'red' in every stage"),
@@ -190,9 +190,9 @@ REFUSED = [
     ("look cloud.png --picture cloud.png --overwrite", "is an input, so it is not replaced"),
     ("record none --out new", "No such file"),
     ("record none --listen 0 --out new", "are both given"),
-    ("record --listen there.html --out new", "nobody can listen there"),
-    ("record --listen 99999 --out new", "nobody can listen there"),
-    ("report none policy --out new.html", "there is no such folder"),
+    ("record --listen there.html --out new", "it cannot be listened on"),
+    ("record --listen 99999 --out new", "it cannot be listened on"),
+    ("report none policy --out new.html", "no such folder"),
     ("report logs none --out new.html", "no such folder"),
     ("report logs logs --out new.html", "it is missing"),
     ("report table-logs policy --out new.html", "covariate 'x1' is missing"),
@@ -293,7 +293,10 @@ def test_what_does_not_fit_is_refused_and_nothing_is_written(refused, line, told
 @pytest.mark.usefixtures("unchanged")
 @pytest.mark.parametrize(
     ("line", "told"),
-    [("watch {table} --port", "--port is {port}"), ("serve policy --port", "--port {port}: nobody can serve there")],
+    [
+        ("watch {table} --port", "--port is {port}"),
+        ("serve policy --port", "--port {port}: the server cannot listen there"),
+    ],
 )
 def test_a_port_that_is_taken_is_refused(refused, line, told):
     with socket.create_server(("127.0.0.1", 0)) as taken:

@@ -64,7 +64,7 @@ def test_a_controller_without_python_gets_decisions_and_makes_the_next_log(polic
         assert client.post("/decide", json=SEEN).json()["policy"] != told["policy"]
         (policy / "policy.json").write_text("{}")
         process.send_signal(signal.SIGHUP)
-        assert "the policy before goes on" in process.stderr.readline()
+        assert "the previous policy stays in use" in process.stderr.readline()
         assert client.post("/reward", json={"reward": 1}).status_code == 200
         process.send_signal(signal.SIGTERM)
         process.wait(120)

@@ -63,8 +63,8 @@ def test_learn_looks_at_text_and_says_what_it_leaves_out(folder):
     assert report["notes"] == [
         "it does not look at order, which has more than 20 categories; group them into fewer, or leave it out",
         "it does not look at remark, which is null at trajectory 1, stage 1; fill it in by --missing "
-        "remark=median+flag (Python: missing={'remark': 'median+flag'}), or by the rule last, or leave column 'remark' "
-        "of stages out",
+        "remark=median+flag (Python: missing={'remark': 'median+flag'}), or with the rule last, or leave column "
+        "'remark' of stages out",
     ]
     logs = by_hand(stamped(0))
     theirs = CensoredQLearner.of_paper(2, ACTIONS, BY_HAND, reg=0.01).fit(logs)

@@ -161,7 +161,7 @@ BREAKS = {
         stages("reward", EVERY, [True] * 5),
         trajectories("end_s", EVERY, ["4", "3", "1"]),
     ],
-    "C06": [(trajectories("trajectory", 1, 2.5), "trajectories, row 1: trajectory 2.5 is no name"),
+    "C06": [(trajectories("trajectory", 1, 2.5), "trajectories, row 1: trajectory 2.5 is not a valid name"),
             stages("action", EVERY, [0.5, 1, 1, 1, 1])],
     "C07": [
         (stages("action", EVERY, [{"a": 1}] * 5), "column 'action' holds mixed, not"),
@@ -395,14 +395,14 @@ def test_a_clock_may_stand_where_two_robots_are_free_at_once(tmp_path):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"robots": None}, r"elapsed_s 0.0 is no time after the trajectory's beginning"),
+        ({"robots": None}, r"elapsed_s 0.0 is not a time after the trajectory's beginning"),
         ({"elapsed_s": (0.0, 2.0, 1.0)}, r"elapsed_s 1.0 is before the 2.0 of stage 2"),
         ({"objects": (0, 0, 2), "elapsed_s": (1.0, 2.0, 5.0)},
-         "stage 2: robot 'right' begins with object 0, which robot 'left' is at since"),
+         "stage 2: robot 'right' starts on object 0, on which robot 'left' has worked since"),
         ({"objects": (0, 0, 1), "robots": TURNS, "elapsed_s": (2.0, 3.0, 5.0)},
-         "stage 2: robot 'left' begins with object 0"),
+         "stage 2: robot 'left' starts on object 0"),
         ({"objects": (0, 0, 1), "robots": TURNS, "elapsed_s": (2.0, 2.01, 5.0), "right_does": "WASH 0"},
-         "stage 2: robot 'left' begins with object 0"),
+         "stage 2: robot 'left' starts on object 0"),
         ({"robots": ("left", None, "left")}, "robot is null"),
     ],
 )  # fmt: skip

@@ -68,7 +68,7 @@ def test_where_every_trajectory_was_cut_it_is_the_first_that_is_said(tables):
     was_cut = tables["trajectories"].loc[tables["trajectories"]["ending"] == "cut", "trajectory"]
     told = found({name: table[table["trajectory"].isin(was_cut)] for name, table in tables.items()})
     assert next(iter(told)) == "all-cut"
-    assert told["all-cut"].startswith(f"all {len(was_cut)} trajectories were cut: nobody saw one come to its own end")
+    assert told["all-cut"].startswith(f"all {len(was_cut)} trajectories were cut: none was observed to its own end")
 
 
 def caused(tables, cause, rows=slice(None), end_s=None):
@@ -124,7 +124,7 @@ def without_probability(tables):
             for name in ("done", "Success", " finished ")
         ),
         (without_probability, "no-probability",
-         "^no action has a probability: learning needs none, but evaluating asks"),
+         "^no action has a probability: learning does not need it, but evaluation does"),
         (lambda tables: caused(tables, "time-out", end_s=tables["trajectories"]["end_s"].max() + 1), "horizon-as-cut",
          "{cuts} of {cuts} cuts by time-out fall at"),
         (in_milliseconds, "mixed-clock-units", r"in (10|9) .*are some clocks in milliseconds\?"),
@@ -132,7 +132,7 @@ def without_probability(tables):
          r"^stages of trajectory \d+ last .* about 1,000 times as long as those of all others .* in milliseconds\?$"),
         (lambda tables: in_milliseconds(tables, 10**6, 1e-6), "short-clock",
          r"^half of the stages last \S+e-06 s or less: are clocks in days, hours or thousands of seconds\?$"),
-        (in_text_order, "text-order", "where 'run-109' comes before 'run-11', and which came"),
+        (in_text_order, "text-order", "where 'run-109' comes before 'run-11', and that order"),
         (reward_as_distance, "reward-as-covariate", "^all {completed} rewards equal distance: was the wrong column"),
         *(
             (stages(name, lambda values: values * 1e6, late), "mixed-covariate-units", f"^covariate {name} is around")
@@ -168,7 +168,7 @@ def test_cuts_in_one_stage(tables):
     stages = tables["stages"]
     stages = stages[~stages["trajectory"].isin(cut) | (stages["stage"] == 1)].copy()
     stages.loc[stages["trajectory"].isin(cut), ["elapsed_s", "reward"]] = np.nan
-    told = f"all {len(cut)} cuts fall in stage 1: does something of the task itself end trajectories there?"
+    told = f"all {len(cut)} cuts fall in stage 1: does the task itself end trajectories there?"
     assert found({"stages": stages, "trajectories": tables["trajectories"]}) == {"cuts-in-one-stage": told}
 
 
@@ -249,7 +249,11 @@ def test_a_clock_that_runs_on(tables):
     for name, column in (("stages", "elapsed_s"), ("trajectories", "end_s")):
         tables[name][column] += begin_s[tables[name]["trajectory"]].to_numpy()
     told = found(tables)["running-clock"]
-    assert re.search(r"runs on .* first stage of \d+ ends at [\d.]+ s, after the last of \d+ at [\d.]+ s; count", told)
+    assert re.search(
+        r"continues across .* first stage of \d+ ends at [\d.]+ s, after the last of \d+ at [\d.]+ s; "
+        "count",
+        told,
+    )
 
 
 def test_no_exploration(tables):

@@ -115,9 +115,9 @@ def test_folders_that_do_not_go_together_are_refused(tmp_path):
         [
             ({"action": 3}, "stages: column 'action' is int64 in B, and string in those before it; give it one type"),
             ({"x": "red"}, "stages: column 'x' is string in B, and double in those before it; give it one type"),
-            ({"x": ...}, "stages: A has column 'x' and B has not; drop it, or add what was seen"),
-            ({"probability": 0.5}, "stages: B has column 'probability' and A has not; drop it, or add what was seen"),
-            ({"y": 1.0}, "stages: B has column 'y' and A has not; drop it, or add what was seen"),
+            ({"x": ...}, "stages: A has column 'x', but B does not; drop it, or add its values"),
+            ({"probability": 0.5}, "stages: B has column 'probability', but A does not; drop it, or add its values"),
+            ({"y": 1.0}, "stages: B has column 'y', but A does not; drop it, or add its values"),
         ]
     ):
         b = one_trajectory(tmp_path / f"b{number}", **columns)
@@ -129,7 +129,7 @@ def test_folders_that_do_not_go_together_are_refused(tmp_path):
         ([a, tables], "all", r"t has objects and .*a has none", LogError),
         ([a, tmp_path / "t" / ".." / "a"], "all", "are the same folder; give it once", ArgumentError),
         ([a], "t", "it already exists", ArgumentError),
-        ([a, tmp_path / "nowhere"], "all", "there is no such folder", LogError),
+        ([a, tmp_path / "nowhere"], "all", "no such folder", LogError),
         ([], "all", "no folder is given", ArgumentError),
     ):
         with refused(told, kind):
@@ -191,9 +191,9 @@ def in_a_folder(logs, folder):
 @pytest.mark.parametrize(
     ("logs", "told"),
     [
-        ([], "no log to join|there is no part|no folder is given"),
+        ([], "no log to join|there are no parts|no folder is given"),
         ([log(1), log(2, size=[1.0])], "only some of the|has objects and"),
-        ([whole(1, 2**53 + 1), whole(2, 0.5)], "types that do not go together|does not fit the types of those before"),
+        ([whole(1, 2**53 + 1), whole(2, 0.5)], "incompatible types|does not have the types of those before"),
         ([log(1).in_unit("Körbe"), log(2).in_unit("parts")], "rewards are in 'Körbe' and in 'parts'"),
     ],
 )

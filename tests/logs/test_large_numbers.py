@@ -111,7 +111,9 @@ def test_whole_numbers_are_kept(tmp_path, read, first):
 def test_fractions_that_may_be_another_number_are_refused(tmp_path, number):
     found = tables(number - 3 if number > 0 else number + 3, number)
     found["stages"]["object"] = np.array(found["stages"]["object"], dtype=np.float64)
-    wording = rf"stages, row 2: object {float(number)!r} is no name, for from 2\^53 on a fraction".replace("+", r"\+")
+    wording = rf"stages, row 2: object {float(number)!r} is not a valid name, as floats from 2\^53 on".replace(
+        "+", r"\+"
+    )
     with refused(wording):
         Logs(**found)
     found = tables(LARGE - 2, LARGE - 1)
@@ -122,7 +124,7 @@ def test_fractions_that_may_be_another_number_are_refused(tmp_path, number):
 @pytest.mark.parametrize("number", [2**63, 2**64, -(2**63) - 1, 2**70])
 @pytest.mark.parametrize("column", ["x", "reward", "action", "trajectory"])
 def test_whole_numbers_of_more_bits_are_refused(column, number):
-    with refused(rf"column '{column}' holds {number}, beyond the whole numbers of 64 bits", LogError):
+    with refused(rf"column '{column}' holds {number}, beyond 64-bit integers", LogError):
         log_of(**{"trajectory": range(2), column: pd.Series([number, 1], dtype=object)})
 
 

@@ -175,7 +175,7 @@ def test_the_number_of_a_row_is_no_covariate():
     seen |= {"action": rng.choice(["A", "B"], 6 * num), "reward": rng.random(6 * num), "x": rng.random(6 * num)}
     for row in (np.arange(6 * num), np.arange(6.0 * num)[::-1] + 7):
         told = [each.sentence for each in data_warnings(log_of(**seen, row=row)) if each.kind == "identifier"]
-        assert told == ["covariate row numbers the rows, which tells nothing of the next one: leave it out"]
+        assert told == ["covariate row numbers the rows, which predicts nothing about the next one: leave it out"]
     assert "identifier" not in {
         each.kind for each in data_warnings(log_of(**seen, row=rng.permutation(960)[: 6 * num]))
     }

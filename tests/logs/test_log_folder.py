@@ -138,7 +138,7 @@ def test_one_is_converted_and_several_are_compacted(store, tmp_path):
 @pytest.mark.parametrize(
     ("address", "message"),
     [
-        ("memory://fleet/none", "there is no such folder"),
+        ("memory://fleet/none", "no such folder"),
         ("nosuch://bucket/logs", r"nosuch://bucket/logs: it cannot be opened \(Unsupported filesystem"),
     ],
 )

@@ -71,12 +71,12 @@ def test_rows_that_are_out_of_place_are_told(folder):
 
     broken = r"logs: trajectory 7, stage 2: the stage is completed, yet its reward is nan"
     for name, rows, told in (
-        ("stages", [*range(10, 20), *range(10)], {streamed: r"rows of trajectory 5 stand where .* trajectory 0;"}),
+        ("stages", [*range(10, 20), *range(10)], {streamed: r"rows of trajectory 5 are where .* trajectory 0;"}),
         ("stages", [*range(18), 0, 1], {
-            streamed: "rows of trajectory 0 stand where .* has trajectory 9",
-            read_all: "rows of trajectory 0 stand where .* has trajectory 9",
+            streamed: "rows of trajectory 0 are where .* has trajectory 9",
+            read_all: "rows of trajectory 0 are where .* has trajectory 9",
         }),
-        ("stages", [0, 2, 1, 3, *range(4, 20)], {read_all: r"stages\.parquet: the rows of its trajectories do not"}),
+        ("stages", [0, 2, 1, 3, *range(4, 20)], {read_all: r"stages\.parquet: the rows of a trajectory are not"}),
         ("stages", None, {streamed: broken, read_all: broken}),
         *(("trajectories", rows, {streamed: r"trajectories\.parquet is not sorted|in trajectories twice"})
           for rows in ([1, 0, *range(2, 10)], [*range(5), 4, *range(6, 10)])),
@@ -118,7 +118,7 @@ def test_what_is_written_in_parts_is_read_as_a_whole(tmp_path):
             [two_stages(range(5)), two_stages(range(5, 9), y=1.0)],
             "stages: column 'y' comes with trajectory 5, and parts before",
         ),
-        ([], "there is no part"),
+        ([], "there are no parts"),
     ],
 )
 def test_nothing_is_left_of_what_went_wrong(tmp_path, parts, told):
@@ -131,5 +131,5 @@ def test_a_stream_of_no_folder_or_of_no_parts_is_refused(folder, tmp_path):
     with refused("trajectories_at_once is 0", ArgumentError):
         LogStream(folder, 0)
     for read in (read_logs, LogStream):
-        with refused("nowhere: there is no such folder", LogError):
+        with refused("nowhere: no such folder", LogError):
             read(tmp_path / "nowhere")

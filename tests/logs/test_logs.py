@@ -128,7 +128,7 @@ def test_does_not_touch_what_it_is_given():
 
 
 def test_what_is_not_there_is_refused(logs):
-    with refused("trajectory 7: there is no such trajectory", LogError):
+    with refused("trajectory 7: the log has no such trajectory", LogError):
         logs.select([1, 7])
     with refused(r"'rewards' among .*; rename 'reward'\?", LogError):
         logs.stage_values("rewards")

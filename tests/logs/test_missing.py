@@ -87,7 +87,7 @@ def test_medians_and_flags_by_hand():
     }
     assert found.stage_covariates == ["x", "n", "on", "colour", "whole", "x_missing", "n_missing", "on_missing"]
     assert found.filling.fills["x"] == Fill(MEDIAN, 2.0, num_missing=2, has_flag=True)
-    assert found.filling.lines()[0] == "x is missing in 2 of 5 stages (40 %); the median 2 stands for it"
+    assert found.filling.lines()[0] == "x is missing in 2 of 5 stages (40 %); it is replaced by the median 2"
 
 
 def test_last_values_by_hand_and_the_median_before_the_first():
@@ -199,7 +199,7 @@ def test_a_column_that_is_not_there_is_filled_in_as_one_of_null(tmp_path, rule):
     lacking = Logs(logs.stages.drop(columns=["x", "colour"]), logs.trajectories, missing="keep")
     lacking.write(tmp_path / "lacking")
     null = Logs(logs.stages.assign(x=None, colour=None), logs.trajectories, missing=filling)
-    told = r"stages: there is no column '(x|colour)', and the .* for it in every stage"
+    told = r"stages: there is no column '(x|colour)'; it is replaced by the .* in every stage"
     with pytest.warns(HalfseenWarning, match=told):
         found = Logs(lacking.stages, logs.trajectories, missing=filling)
     pd.testing.assert_frame_equal(found.stages[list(null.stages)], null.stages)
@@ -214,10 +214,10 @@ def test_a_state_may_lack_what_is_looked_at_and_nothing_else_is_added():
     filling = Filling(fills, 10)
     state, said = filling.of_state({"x": np.nan, "other": 1}, ["x", "z"])
     assert state == {"x": 0.5, "other": 1}
-    assert said == {"x": "x is missing, and 0.5, the median of the logs, stands for it"}
+    assert said == {"x": "x is missing and is replaced by 0.5, the median of the logs"}
     assert filling.of_state({}, ["y_missing"], {"x": 3.0})[0] == {"y": 2.0, "y_missing": 1}
     assert filling.of_state({"x": None}, [], {"x": 3.0})[1] == {
-        "x": "x is missing, and 3, its last value, stands for it"
+        "x": "x is missing and is replaced by 3, its last value"
     }
     assert filling.of_state({"y": 1.0, "y_missing": 1}, ["y"])[0] == {"y": 1.0, "y_missing": 1}
     # Beside a median, truth values are numbers, as in a log.
@@ -237,15 +237,20 @@ def test_a_state_may_lack_what_is_looked_at_and_nothing_else_is_added():
         (MEDIAN, {"x": [None] * 5}, LogError, "^covariate x is null in every one of the 5 stages"),
         (LAST, {"colour": [None] * 5}, LogError, "^covariate colour is null in every"),
         (MEDIAN, {"x": [1.0, np.inf, None, 2.0, 3.0]}, LogError, "covariate x is inf; give the number"),
-        ("mean", {}, ArgumentError, "^missing is 'mean'; it is one of median.flag, last, refuse"),
+        ("mean", {}, ArgumentError, "^missing is 'mean'; choose among median.flag, last, refuse"),
         ({"x": "lst"}, {}, ArgumentError, "^missing of 'x' is 'lst'.* did you mean 'last'"),
         (MEDIAN, {"x": [np.inf, np.inf, None, np.inf, 3.0]}, LogError, "covariate x is inf; give the number"),
         (MEDIAN, {"x": [1.7e308, 1.7e308, None, None, None], "n": [1, None, np.inf, 1, 1]}, LogError, "n is inf; give"),
         ({"colr": LAST}, {}, ArgumentError, "^missing names 'colr'; .* did you mean 'colour'"),
-        (MEDIAN, {"x_missing": [0, 1, 2, 0, 0]}, LogError, "^covariate x_missing is there, and not 0 or 1"),
+        (MEDIAN, {"x_missing": [0, 1, 2, 0, 0]}, LogError, "^covariate x_missing has values other than 0 and 1"),
         ({"lists": LAST}, {"lists": [[1.0]] * 5}, LogError, "^covariate lists holds neither numbers nor text"),
         (MEDIAN, {"lists": [[1.0], None, [1.0], [1.0], [1.0]]}, LogError, "covariate lists is null, as in 1 of 5"),
-        (Filling({"x": Fill(MEDIAN, "missing", 1)}, 5), {}, LogError, "^covariate x holds number, and a text is to"),
+        (
+            Filling({"x": Fill(MEDIAN, "missing", 1)}, 5),
+            {},
+            LogError,
+            "^covariate x holds number, but missing values are filled with a text",
+        ),
     ],
 )
 def test_what_cannot_be_filled_in_is_refused_in_one_line(missing, columns, kind, told):

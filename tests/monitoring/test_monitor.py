@@ -78,7 +78,7 @@ def test_a_part_that_broke_is_named_and_since_when(stored):
     assert any(
         each.name.startswith("reward of") and each.since_low <= 301 <= each.since_high for each in found.findings
     )
-    assert any("less than the log says of the same states" in each for each in found.causes)
+    assert any("less than in the log in the same states" in each for each in found.causes)
     assert not any("swapped" in each for each in found.causes)
 
 
@@ -89,7 +89,7 @@ def test_a_clock_in_milliseconds_is_told_from_a_slow_cell(stored):
     unit = "as if in another unit (milliseconds for seconds): divide the clock by 1,000"
     assert unit in found.sentence
     assert any(unit in each for each in found.causes)
-    assert found.relearning.startswith("Mend what is recorded")
+    assert found.relearning.startswith("Fix the recording")
     assert clock_unit(np.log(5.0)) == ""
     assert "the other way round): multiply the clock by 60" in clock_unit(-np.log(60.0))
 
@@ -107,7 +107,7 @@ def test_swapped_columns_that_are_distributed_alike_are_named_by_what_actions_br
     found = monitored(stored, cell(400, 1, policy=stored.policy, swaps=True, are_alike=True))
     assert found.alarm_at < 150
     assert "x and z swapped" in {each.name for each in found.findings}
-    assert found.relearning.startswith("Mend what is recorded before you learn again")
+    assert found.relearning.startswith("Fix the recording before you learn again")
 
 
 ALIKE = Covariates(("x", "y", "z", "colour"), {"colour": ("blue", "red")})
@@ -206,7 +206,7 @@ def test_of_trajectories_that_were_all_cut_nothing_is_said_of_the_promise(stored
     ends = {"end_s": 0.1, "ending": "cut", "cause": "operator"}
     found = monitored(stored, Logs(stages, logs.trajectories.assign(**ends)))
     assert (found.earned, found.findings) == (None, ())
-    assert "no trajectory has finished, so nothing is known of what it earns" in found.notes
+    assert "no trajectory has finished, so what it earns is unknown" in found.notes
     # The first that finishes counts from the next estimate on.
     is_late = np.arange(300) >= 150
     some = Logs(
@@ -242,7 +242,7 @@ def test_a_log_of_another_policy_is_not_judged_by_the_promise_of_this_one(stored
     stages["action"] = np.where(is_drawn, stored.policy.decide(stages, 1), stages["action"])
     found = monitored(stored, Logs(stages, other.trajectories))
     assert found.sentence.startswith("Only 1")
-    assert "% of the actions are the policy's: this log is not of its service, and is not judged by" in found.sentence
+    assert "% of the actions are the policy's: this log is not from its service, and is not" in found.sentence
     assert (found.promised, found.earned) == (None, None)
 
 
@@ -261,8 +261,8 @@ def test_actions_that_the_policy_does_not_know_are_named_first(stored):
     found = monitored(stored, Logs(logs.stages.assign(action=names), logs.trajectories))
     num = int((names == "a").sum())
     assert found.doubts == (
-        f"{num} of 200 actions are 'a', which is none of the policy's (A, B). Write 'A' if that is meant.",
-        "1 of 200 actions is 'C', which is none of the policy's (A, B).",
+        f"{num} of 200 actions are 'a', which the policy does not know (A, B). Write 'A' if that is meant.",
+        "1 of 200 actions is 'C', which the policy does not know (A, B).",
     )
     assert lines(found)[:2] == list(found.doubts)
 
@@ -271,7 +271,9 @@ def test_a_log_of_which_it_knows_no_action_is_refused(stored):
     logs = cell(200, 1, policy=stored.policy)
     lower = Logs(logs.stages.assign(action=logs.stages["action"].str.lower()), logs.trajectories)
     with pytest.raises(
-        LogError, match=r"none of its actions is the policy's\. \d+ of 200 actions are '[ab]', which is none"
+        LogError,
+        match=r"none of its actions is the policy's\. \d+ of 200 actions are '[ab]', which the policy does "
+        "not know",
     ):
         monitored(stored, lower)
 
@@ -279,9 +281,10 @@ def test_a_log_of_which_it_knows_no_action_is_refused(stored):
 def test_rewards_in_another_unit_are_no_swapped_columns(stored):
     logs = cell(400, 7, policy=stored.policy, are_alike=True)
     found = monitored(stored, Logs(logs.stages.assign(reward=100.0 * logs.stages["reward"]), logs.trajectories))
-    assert found.causes[0] == "rewards are as if in another unit: a trajectory brings about 100, and 1 was the most"
+    told = "rewards are as if in another unit: a trajectory brings about 100, but at most 1 in the log"
+    assert found.causes[0] == told
     assert not any("swapped" in each for each in (found.sentence, *found.causes))
-    assert any(each.startswith("Mend what is recorded") for each in lines(found))
+    assert any(each.startswith("Fix the recording") for each in lines(found))
 
 
 def test_in_a_comparison_the_policys_trajectories_alone_say_what_it_earns(stored):
@@ -300,7 +303,7 @@ def test_in_a_comparison_the_policys_trajectories_alone_say_what_it_earns(stored
     np.testing.assert_array_equal(found.outcomes.values[::2], alone.outcomes.values)
     assert np.isnan(found.outcomes.values[1::2]).all()
     assert found.earned["value"] == pytest.approx(alone.earned["value"])
-    assert "300 trajectories of the rule say nothing of what the policy earns" in found.notes
+    assert "300 trajectories of the rule do not count in what the policy earns" in found.notes
     of_rule = monitored(stored, Logs(rules.stages, rules.trajectories.assign(arm="rule")))
     assert of_rule.earned is None
 
@@ -355,7 +358,7 @@ def test_of_tables_only_what_is_earned_and_cuts_are_watched(tmp_path):
     write_policy(learner, logs, tmp_path / "policy")
     found = monitored(read_policy(tmp_path / "policy"), table_log(seed=1))
     assert found.alarm_at is None
-    assert found.notes[0] == "the policy is of tables: nothing is watched but what it earns, and cuts"
+    assert found.notes[0] == "the policy is for tables: only what it earns and cuts are monitored"
     assert set(found.p_values) == {"inputs", "parts"}
 
 
@@ -396,7 +399,7 @@ def of_colours(tmp_path_factory):
 def test_a_category_that_was_never_seen_is_named_and_stops_nothing(of_colours):
     found = monitored(of_colours, coloured(300, 1, of_colours.policy, [60]))
     assert found.alarm_at is None
-    assert found.doubts[0].startswith("Covariate colour is 'green' in 1 stage, which the log that was learned from")
+    assert found.doubts[0].startswith("Covariate colour is 'green' in 1 stage, which never occurs in the training log")
     assert found.sentence.startswith("No alarm: in 300 trajectories nothing else has changed; it earns 0.")
     assert found.outcomes.is_weighed[60]
 
@@ -469,7 +472,7 @@ def test_where_nothing_is_lost_none_are_needed_and_where_nothing_is_known_the_fe
             "Learning again will not pay yet: there are 80 trajectories since the change, and about",
         ),
         ((200, 301, 100, 0.8), "Learning again may pay: there are 200 trajectories since the change, and about 100"),
-        ((200, 301, None, 0.8), "Learning again need not pay: nothing is lost in 200 trajectories since the change."),
+        ((200, 301, None, 0.8), "Learning again is not needed: nothing is lost in 200 trajectories since the change."),
         ((200, 301, 100, 1.0), "Learning again may pay"),
     ],
 )

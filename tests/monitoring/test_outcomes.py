@@ -53,7 +53,7 @@ def test_batches_change_nothing_and_nothing_is_weighed_without_a_past():
 
 
 def test_what_no_trajectory_can_bring_is_refused():
-    with pytest.raises(ArgumentError, match=r"add up to 2, outside of 0 to 1"):
+    with pytest.raises(ArgumentError, match=r"add up to 2, outside 0 to 1"):
         CensoredOutcomes(0.0, 1.0).add(ends_as_clocks([1.0], [True]), [2.0])
 
 

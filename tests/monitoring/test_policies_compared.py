@@ -204,7 +204,7 @@ def test_a_loss_that_is_allowed_is_not_passed():
 
 def test_what_is_said():
     assert str(standing(drawn(2, np.random.default_rng(0)), Terms())) == (
-        "going on after 2 trajectories, 1 by the policy: nothing is known of its gain"
+        "going on after 2 trajectories, 1 by the policy: its gain is not known yet"
     )
     found = str(standing(drawn(300, np.random.default_rng(0), gain=1.0), Terms()))
     assert found.startswith("promoted after 300 trajectories, 1")

@@ -176,10 +176,10 @@ BAD = {
     "many values": (".pcd", pcd(b"COUNT 1 1 1", b"COUNT 1 1 1000000000"), "a COUNT from 1 to 4096"),
     "fewer counts": (".pcd", pcd(b"COUNT 1 1 1", b"COUNT 1 1"), "3 TYPE and 2 COUNT"),
     "odd type": (".pcd", pcd(b"TYPE F F F", b"TYPE F F Q"), "a TYPE is F, U or I"),
-    "no points": (".pcd", pcd(b"POINTS 20", b"POINTS -1"), "POINTS is '-1'; it is a whole number"),
+    "no points": (".pcd", pcd(b"POINTS 20", b"POINTS -1"), "POINTS is '-1'; give a whole number"),
     "many points": (".pcd", pcd(b"POINTS 20", b"POINTS 9999999999"), "was cut short"),
     "half a viewpoint": (".pcd", pcd(b"VIEWPOINT 0 0 0 1 0 0 0", b"VIEWPOINT 1"), "VIEWPOINT is '1'; give x, y and z"),
-    "no turn": (".pcd", pcd(b"0 0 0 1 0 0 0", b"0 0 1 0 0 0 0"), "VIEWPOINT is '0 0 1 0 0 0 0'; .* not of zeros"),
+    "no turn": (".pcd", pcd(b"0 0 0 1 0 0 0", b"0 0 1 0 0 0 0"), "VIEWPOINT is '0 0 1 0 0 0 0'; .* not all zeros"),
     "half a turn": (".pcd", pcd(b"0 0 0 1 0 0 0", b"0 0 0 1 0"), "VIEWPOINT is '0 0 0 1 0'; .* a quaternion w, x, y"),
     "no place": (".pcd", pcd(b"0 0 0 1 0 0 0", b"nan 0 0 1 0 0 0"), "VIEWPOINT is 'nan 0 0 1 0 0 0'"),
     "odd frame": (
@@ -197,7 +197,7 @@ BAD = {
         pcd_header(10**9, 1, "binary_compressed") + pcd_body(NUMBERED, "binary_compressed"),
         "unpacked, it has 12,000 MB",
     ),
-    "odd data": (".pcd", pcd(b"DATA ascii", b"DATA BINARY"), "DATA is 'BINARY'; it is one of ascii, binary, binary_c"),
+    "odd data": (".pcd", pcd(b"DATA ascii", b"DATA BINARY"), "DATA is 'BINARY'; choose among ascii, binary, binary_c"),
     "no z": (".pcd", pcd_header(2, 1, "ascii", fields="x y") + b"1 2\n3 4\n", "needs x, y and z"),
     "intrinsics": (".pcd", pcd(b"VERSION 0.7", b"# intrinsics 1 2\nVERSION 0.7"), "fx fy cx cy"),
     "shape": (".pcd", pcd(b"WIDTH 20\nHEIGHT 1", b"WIDTH 6\nHEIGHT 4"), "do not fill"),
@@ -228,8 +228,8 @@ def test_a_missing_file_is_refused_and_what_is_no_file_is_named(tmp_path):
     (tmp_path / "link.npz").symlink_to("/dev/zero")
     for name, message in (
         ("none.pcd", "no such file"),
-        ("folder.pcd", "it is a folder and no file"),
-        ("link.npz", "it is a device and no file, where the link leads"),
+        ("folder.pcd", "it is a folder, not a file"),
+        ("link.npz", "it is a device, not a file .the link leads to"),
     ):
         with refused(message, CloudError):
             read_cloud(tmp_path / name)

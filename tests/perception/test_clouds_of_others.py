@@ -59,7 +59,7 @@ def test_a_thinned_cloud_shows_the_objects_that_the_whole_one_does(thin):
 def test_points_that_are_too_far_apart_for_cups_are_refused():
     points = draw(*FOUR).cloud.points_m
     with pytest.raises(
-        CloudError, match=r"its points on the table are [23][0-9] mm apart, and cups take 20 mm at most"
+        CloudError, match=r"its points on the table are [23][0-9] mm apart, but cups need 20 mm at most"
     ):
         perceive(Cloud(voxels(points[np.isfinite(points[:, 2])], 0.03)))
 

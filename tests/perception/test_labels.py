@@ -275,23 +275,23 @@ BAD = {
     "empty word": ("a.csv", "object,label\n0,\n1,clean\n", "row 1: label is ''"),
     "word of another kind": ("a.json", '[{"object": 0, "label": ["dirty"]}]', r"row 1: label is \['dirty'\]"),
     "missing": ("a.csv", "object,label\n0,dirty\n", "object 1 of 2 has no label"),
-    "twice": ("a.csv", "object,label\n0,dirty\n0,clean\n", "row 2: object 0 is labelled before"),
-    "too many": ("a.csv", "object,label\n0,dirty\n1,clean\n2,clean\n", "row 3: object is '2', and the view has"),
+    "twice": ("a.csv", "object,label\n0,dirty\n0,clean\n", "row 2: object 0 has a label already"),
+    "too many": ("a.csv", "object,label\n0,dirty\n1,clean\n2,clean\n", "row 3: object is '2', but the view has"),
     "negative": ("a.json", '[{"object": -1, "label": "dirty"}]', "row 1: object is -1"),
     "no number": ("a.csv", "object,label\nmug,dirty\n", "row 1: object is 'mug'"),
     "true": ("a.json", '[{"object": true, "label": "dirty"}]', "row 1: object is True"),
     "share": ("a.csv", "object,label,share_in_view\n0,dirty,1.5\n", "row 1: share_in_view is '1.5'"),
     "share as text": ("a.json", '[{"object": 0, "label": "dirty", "share_in_view": "all"}]', "share_in_view is 'all'"),
     "share of another kind": ("a.json", '[{"object": 0, "label": "dirty", "share_in_view": []}]', "share_in_view is"),
-    "no head": ("a.csv", "0,dirty\n1,clean\n", "row 1 has 0, dirty; it has object, label"),
-    "no label": ("a.csv", "object\n0\n", "row 1 has object; it has object, label"),
+    "no head": ("a.csv", "0,dirty\n1,clean\n", "row 1 has 0, dirty; give object, label"),
+    "no label": ("a.csv", "object\n0\n", "row 1 has object; give object, label"),
     "more columns": ("a.csv", "object,label,colour\n0,dirty,red\n", "row 1 has object, label, colour"),
     "ragged": ("a.csv", "object,label\n0,dirty,1\n", "row 1 has 3 cells, and the first line 2"),
     "empty": ("a.csv", "", "object 0 of 2 has no label"),
-    "no list": ("a.json", '{"object": 0, "label": "dirty"}', "it is no list of objects"),
-    "no JSON": ("a.json", "{", "it cannot be read as labels"),
+    "no list": ("a.json", '{"object": 0, "label": "dirty"}', "it is not a list of objects"),
+    "not valid JSON": ("a.json", "{", "it cannot be read as labels"),
     "binary": ("a.csv", b"\xff\xfe\x00", "it cannot be read as labels"),
-    "suffix": ("a.txt", "object,label\n0,dirty\n", r"ends in \.csv or \.json"),
+    "suffix": ("a.txt", "object,label\n0,dirty\n", r"labels must be a \.csv or \.json file"),
 }
 
 
@@ -326,13 +326,13 @@ def test_boxes_and_heights_that_no_cup_has_are_no_cups_and_one_shape_may_be_two_
     assert len(view.objects) == 2
     assert other_things(view) == (0, 1)
     assert other_things_in_words(view) == (
-        "this is no table of cups, and of other things nothing was learned: 0 is no vessel by its shape; 1 is no "
-        "vessel by its shape"
+        "this is not a table of cups, and nothing was learned about other objects: 0 does not have the shape of a "
+        "vessel; 1 does not have the shape of a vessel"
     )
     assert other_things(changed(cups, heights_m=[(2, HIGHEST_M + 0.01)])) == (2,)
     assert other_things_in_words(changed(cups, heights_m=[(0, LOWEST_M - 0.01)])) == (
-        "not all on this table are cups, and of other things nothing was learned: 0 is 0.035 m high (a cup 0.045 to "
-        "0.17)"
+        "not all on this table are cups, and nothing was learned about other objects: 0 is 0.035 m high (a cup "
+        "0.045 to 0.17)"
     )
     assert other_things(changed(cups, [3])) == ()
     assert other_things(changed(cups, [3, 4])) == (3, 4)

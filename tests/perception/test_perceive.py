@@ -175,7 +175,7 @@ def test_distances_that_no_camera_measures_and_a_pinhole_that_is_none_are_refuse
 
 @pytest.mark.parametrize(
     ("bound", "told"),
-    [("MOST_JOINT_FITS", "too many might belong together"), ("MOST_PIECES", "a table of things into")],
+    [("MOST_JOINT_FITS", "too many of which may belong together"), ("MOST_PIECES", "a table of objects into")],
 )
 def test_what_falls_into_too_many_pieces_is_refused_and_not_fitted_for_minutes(monkeypatch, bound, told):
     monkeypatch.setattr(f"halfseen.perception.grouping.{bound}", 0)

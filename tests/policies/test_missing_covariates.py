@@ -136,8 +136,8 @@ def test_act_fills_in_a_file(form, folder, tmp_path):
     expected = acted(folder, tmp_path / "full.json")
     assert {**told, "warnings": [], "filled": [], "input": ""} == {**expected, "warnings": [], "input": ""}
     assert told["warnings"][:2] == [
-        f"x is missing, and {full['x']:.6g}, the median of the logs, stands for it",
-        "colour is missing, and 'missing', a category of its own, stands for it",
+        f"x is missing and is replaced by {full['x']:.6g}, the median of the logs",
+        "colour is missing and is replaced by 'missing', a category of its own",
     ]
 
 

@@ -85,7 +85,7 @@ REFUSED = {
             record(lambda r: r["seen"][0]["ranges"].pop("x1")),
             "seen does not give the range of x1, x2 in the log, but of x2",
         ),
-        (of_ranges(x1=[np.nan, 1.0]), "NaN is no number of JSON"),
+        (of_ranges(x1=[np.nan, 1.0]), "NaN is not a JSON number"),
         (record(lambda r: r.pop("schema")), "schema is None"),
         (of_schema(horizon=True), "horizon is True"),
         (of_schema(horizon=3), "possible is"),

@@ -86,7 +86,7 @@ def test_a_decision_is_told_with_its_reason_its_values_and_what_was_seen(flat, t
         assert asked.get("/state").json()["revision"] == state["revision"]
         asked.post("/reward", json={"reward": 1.0})
         after = asked.get("/state").json()
-        assert after["sentence"] == "Trajectory 1: stage 1 is done, the next decision is awaited."
+        assert after["sentence"] == "Trajectory 1: stage 1 is done; waiting for the next decision."
         assert after["revision"] != state["revision"]
         asked.post("/end", json={"ending": "finished"})
         assert asked.get("/state").json()["sentence"] == "No trajectory is in progress."
@@ -191,7 +191,7 @@ def test_another_policy_is_watched_from_the_first_trajectory_on_that_it_decides_
         write_policy(learned(reg=5.0).fit(flat_log()), flat_log(), folder, overwrite=True)
         asked.post("/reload")
         assert asked.get("/state").json()["monitor"] is None
-        assert "holds another policy than the one that decides" in found_of(folder, tmp_path / "logs", before)["error"]
+        assert "holds a different policy than the one in use" in found_of(folder, tmp_path / "logs", before)["error"]
         assert watch.digest == asked.get("/health").json()["policy"] != before
         # Both policies decided in the third.
         ended()
@@ -213,7 +213,7 @@ def test_a_log_that_cannot_be_watched_is_told_once(flat, tmp_path):
             watch.ended()
             watch._thread.join()
     assert len(said) == 1
-    assert said[0].startswith("The log is not watched: ")
+    assert said[0].startswith("The log is not monitored: ")
 
 
 def test_the_log_is_watched_in_a_process_of_its_own(flat, tmp_path):

@@ -62,25 +62,25 @@ def test_it_says_what_act_says(asked, flat, tmp_path):
 @pytest.mark.parametrize(
     ("body", "status", "says"),
     [
-        (b"{", 400, "no JSON"),
-        (b"[" * 100_000, 400, "no JSON"),
-        (b'{"x1": NaN, "x2": 1}', 400, "NaN is no number of JSON"),
+        (b"{", 400, "not valid JSON"),
+        (b"[" * 100_000, 400, "not valid JSON"),
+        (b'{"x1": NaN, "x2": 1}', 400, "NaN is not a JSON number"),
         (b'{"x1": 0, "x2": 1, "x1": 2}', 400, "'x1' is given twice"),
-        (b"\xff", 400, "no JSON"),
+        (b"\xff", 400, "not valid JSON"),
         (b"[1]", 422, "JSON list; send one object"),
         (b"{}", 422, "'x1' is missing (given: nothing)"),
         (b'{"x1": 1, "X2": 1}', 422, "'x2' is missing (given: x1, X2)"),
         (b'{"x1": null, "x2": 1}', 422, "covariate 'x1'"),
         (b'{"x1": "red", "x2": 1}', 422, "'x1' is not numeric"),
         (b'{"x1": [1], "x2": {"a": 2}}', 422, "'x1' is not numeric"),
-        (b'{"x1": 1e999, "x2": 1}', 400, "1e999 is no number of JSON"),
+        (b'{"x1": 1e999, "x2": 1}', 400, "1e999 is not a JSON number"),
         # Of a log that held it, nothing could be learned.
         (
             b'{"x1": 1.7976931348623157e308, "x2": 1}',
             422,
             "'x1' is 1.7976931348623157e+308; give a finite",
         ),
-        (b'{"x1": 1' + b"0" * 400 + b', "x2": 1}', 400, "is no whole number of 64 bits"),
+        (b'{"x1": 1' + b"0" * 400 + b', "x2": 1}', 400, "is not a 64-bit whole number"),
         (b'{"x1": 0, "x2": 1, "stage": 0}', 422, "stage is 0; give a whole number from 1"),
         (b'{"x1": 0, "x2": 1, "stage": 10001}', 422, "stage is 10001; give a whole number from 1 to 10,000"),
         (b'{"x1": 0, "x2": 1, "stage": true}', 422, "stage is True"),
@@ -99,7 +99,7 @@ def test_other_addresses_and_forms_are_refused(asked):
     text = {"content": b"{}", "headers": {"content-type": "text/plain"}}
     packed = {"content": b"\x1f\x8b", "headers": {"content-type": "application/json", "content-encoding": "gzip"}}
     for answer, status, told in (
-        (asked.get("/decisions"), 404, "nothing at this address"),
+        (asked.get("/decisions"), 404, "this address does not exist"),
         (asked.get("/decide"), 405, "GET is not answered"),
         (asked.post("/decide", **text), 415, "content-type is 'text/plain'"),
         (asked.post("/decide", **packed), 415, "content-encoding is 'gzip'; send it unpacked"),
@@ -107,7 +107,7 @@ def test_other_addresses_and_forms_are_refused(asked):
         (asked.post("/reward", json={"reward": 1}), 409, "records nothing"),
         # A page of another site.
         *(
-            (asked.get("/health", headers={"host": name}), 403, "this server is asked as 127.0.0.1")
+            (asked.get("/health", headers={"host": name}), 403, "this server answers only as 127.0.0.1")
             for name in ("evil.example", "127.0.0.1.evil.example", "evil.example:8080", "")
         ),
     ):
@@ -206,7 +206,7 @@ def test_a_draw_is_as_likely_as_it_says(flat):
     assert {key[1:] for key in by_action} == {(0.75, False), (0.25, True)}
     explored = [one for one in told if one["is_explored"]]
     assert len(explored) == pytest.approx(40, abs=4 * np.sqrt(160 * 0.25 * 0.75))
-    assert "by chance, to explore" in explored[0]["reason"]
+    assert "drawn to explore" in explored[0]["reason"]
 
 
 def test_actions_that_are_numbers_stay_numbers_where_they_are_drawn(tmp_path):
@@ -311,22 +311,26 @@ def test_a_field_that_a_model_does_not_take_is_named_with_its_value_and_the_reme
                 "the request: objects is []; give a list with each object as a stage of a log",
             ),
             ("/decide", {"objects": [{}, 1]}, "the request: objects is [{}, 1]; give a list with each object as"),
-            ("/reward", {}, "the request: there is no 'reward'; give a number, in the unit of the log."),
+            ("/reward", {}, "the request: missing field 'reward'; give a number, in the unit of the log."),
             (
                 "/reward",
                 {"reward": 1, "why": 1},
-                "the request: nothing is known of 'why'; give reward, elapsed_s, held",
+                "the request: unknown field 'why'; give reward, elapsed_s, held",
             ),
             ("/reward", {"reward": "much"}, "the request: reward is 'much'; give a number, in the unit of the log."),
             ("/reward", {"reward": None}, "the request: reward is None; give a number"),
-            ("/reward", {"reward": 1, "held": "yes"}, "the request: held is 'yes'; give true or false, of clouds"),
+            (
+                "/reward",
+                {"reward": 1, "held": "yes"},
+                "the request: held is 'yes'; give true or false, with clouds only",
+            ),
             ("/reward", {"reward": 1, "elapsed_s": "2"}, "the request: elapsed_s is '2'; give seconds since the"),
             ("/end", {"ending": "done"}, "the request: ending is 'done'; give the word \"finished\", or"),
             ("/end", {"ending": "cut"}, 'the request: give {"ending": "finished"}, or {"ending": "cut", "cause": '),
             ("/end", {"ending": "x` - at `$.y`"}, "the request: ending is 'x` - at `$.y`'; give the word"),
-            ("/end", {"x` - at `$.y": 1}, "the request: nothing is known of 'x` - at `$.y'; give ending, cause, elap"),
-            ("/end", {"ending": "\ud800"}, "the request: '\\ud800' is no Unicode text; decode it"),
-            ("/end", {"ending": "cut", "\ud800": 1}, "the request: '\\ud800' is no Unicode text; decode it"),
+            ("/end", {"x` - at `$.y": 1}, "the request: unknown field 'x` - at `$.y'; give ending, cause, elap"),
+            ("/end", {"ending": "\ud800"}, "the request: '\\ud800' is not Unicode text; decode it"),
+            ("/end", {"ending": "cut", "\ud800": 1}, "the request: '\\ud800' is not Unicode text; decode it"),
         ):
             body = json.dumps(given)
             answer = client.post(address, content=body, headers={"content-type": "application/json"})
@@ -335,12 +339,12 @@ def test_a_field_that_a_model_does_not_take_is_named_with_its_value_and_the_reme
         for stage in ("x", "1.5", "0", "-1", ""):
             line = refused(client.post("/decide", files=files, data={"stage": stage}), 422)
             assert line == f"the request: stage is {stage!r}; give the stage to decide, a whole number from 1."
-        for more, says in (("label", "'label' is none of its parts"), ("cloud", "'cloud' is given twice")):
+        for more, says in (("label", "'label' is not one of its parts"), ("cloud", "'cloud' is given twice")):
             parts = [*files.items(), (more, ("l.csv", b""))]
             line = refused(client.post("/decide", files=parts), 422)
             assert line == f"the request: {says}; give cloud, labels, stage"
         line = refused(client.post("/decide", files=files, data={"labels": "0,dirty"}), 422)
-        assert line.startswith("the request: labels is '0,dirty'; give a .csv or .json of what looks dirty, as")
+        assert line.startswith("the request: labels is '0,dirty'; give a .csv or .json of labels, as")
 
 
 def test_description_and_page_tell_in_words_whatever_is_asked_for_in_the_order_of_a_trajectory(tables, tmp_path):
@@ -367,10 +371,10 @@ def test_a_table_is_decided_from_a_cloud_as_act_does(tables):
         assert {name: told[name] for name in said} == said
         broken = client.post("/decide", files={"cloud": ("../../x.pcd", b"VERSION .7\n")})
         assert refused(broken, 422).startswith("cloud.pcd: ")
-        assert "there is no 'cloud'; give a file of what the camera sees" in refused(
+        assert "missing field 'cloud'; give a file of what the camera sees" in refused(
             client.post("/decide", files={"other": ("t.pcd", b"")}), 422
         )
-        assert "there is no 'objects'; give a list" in refused(client.post("/decide", json={"x": 1}), 422)
+        assert "missing field 'objects'; give a list" in refused(client.post("/decide", json={"x": 1}), 422)
         openapi = client.get("/openapi.json").json()["paths"]["/decide"]["post"]["requestBody"]["content"]
         assert set(openapi) == {"application/json", "multipart/form-data"}
 
@@ -388,7 +392,7 @@ def test_a_table_as_a_log_has_it_is_decided_and_recorded(tables, objects, tmp_pa
         assert told["action"] == " ".join(str(one) for one in (told["verb"], told["object"]) if one is not None)
         client.post("/reward", json={"reward": 1.0})
         client.post("/end", json={"ending": "finished"})
-        assert "not of tables" in refused(client.post("/decide", files={"cloud": ("t.pcd", b"")}), 409)
+        assert "a policy without tables" in refused(client.post("/decide", files={"cloud": ("t.pcd", b"")}), 409)
         wrong = [{**one, "location": "NOWHERE"} for one in objects]
         assert "NOWHERE" in refused(client.post("/decide", json={"objects": wrong}), 422)
     stored = read_logs(tmp_path / "logs")

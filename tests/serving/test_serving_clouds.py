@@ -233,8 +233,8 @@ def test_what_cannot_be_gone_on_from_leaves_the_trajectory_as_it_was(recorded, s
     assert journal() == waits
     rewarded(recorded, held=False)
     before, where = journal(), recorded.get("/health").json()
-    assert "stage is 1, but the trajectory in progress has come to 2" in refused(post(recorded, cloud, stage="1"), 409)
-    assert "it came as a cloud, and now JSON" in refused(recorded.post("/decide", json={"objects": bare}), 409)
+    assert "stage is 1, but the trajectory in progress is at stage 2" in refused(post(recorded, cloud, stage="1"), 409)
+    assert "it came as a cloud, but now JSON" in refused(recorded.post("/decide", json={"objects": bare}), 409)
     assert refused(post(recorded, b"VERSION .7\n"), 422).startswith("cloud.pcd: ")
     assert "if it is cleared, the trajectory is over" in refused(post(recorded, shows()), 422)
     assert "of another table" in refused(post(recorded, shows(ELSEWHERE)), 422)
@@ -249,12 +249,12 @@ def test_names_and_columns_that_a_folder_has_not_are_refused(recorded, shows, tm
     assert recorded.post("/decide", json={"objects": objects}).status_code == 200
     assert "held is for clouds" in refused(recorded.post("/reward", json={"reward": 1, "held": True}), 422)
     rewarded(recorded)
-    assert "it came as JSON, and now a cloud" in refused(post(recorded, shows(*CANS)), 409)
+    assert "it came as JSON, but now a cloud" in refused(post(recorded, shows(*CANS)), 409)
     # A name that is gone makes a log that nobody reads.
     other = [{**objects[0], "object": "cup"}]
     assert "no longer lists it" in refused(recorded.post("/decide", json={"objects": other}), 422)
     recorded.post("/end", json={"ending": "cut", "cause": "operator"})
-    assert "object 0 is a number, those before are text" in refused(post(recorded, shows(*CANS)), 422)
+    assert "object 0 is a number, but earlier ones are text" in refused(post(recorded, shows(*CANS)), 422)
     assert recorded.get("/health").json()["recording"]["trajectory"] is None
     assert recorded.post("/decide", json={"objects": objects}).json()["trajectory"] == 2
     assert read_logs(tmp_path / "logs").num_trajectories == 2
@@ -328,7 +328,7 @@ def test_nothing_is_decided_for_a_client_that_has_gone(tables, shows, tmp_path, 
         app = app_of(Served(tables, Answering(trajectories=trajectories), extrapolates=True))
         asyncio.run(app(scope, receive, send))
         assert trajectories.facts == Progress(None, 0, "decision")
-    assert b"the client has gone" in sent[-1]["body"]
+    assert b"the client has disconnected" in sent[-1]["body"]
 
 
 @pytest.mark.slow

@@ -152,7 +152,7 @@ def test_a_decision_that_comes_too_late_is_dropped_for_the_rules(flat, monkeypat
         monkeypatch.setattr(kind, "valued", slow)
         told = decided(client, **WITHIN)
         assert (told["stepped_back"], told["probability"]) == ("late", 1.0)
-        assert "no answer within 0.05 s" in told["reason"]
+        assert "did not answer within 0.05 s" in told["reason"]
 
 
 def test_a_new_category_is_outside_the_logs(tmp_path):
@@ -164,9 +164,9 @@ def test_a_new_category_is_outside_the_logs(tmp_path):
     with client_of(tmp_path / "policy") as client:
         told = decided(client, x1=0.1, colour="mauve")
         assert (told["action"], told["stepped_back"]) == (usual(logs, 1), "out-of-range")
-        assert "colour is 'mauve', which no state of the logs showed." in told["reason"]
+        assert "colour is 'mauve', which does not occur in the logs." in told["reason"]
         told = decided(client, x1=0.1, colour="Red")
-        assert "colour is 'Red', which no state of the logs showed; they showed 'red'." in told["reason"]
+        assert "colour is 'Red', which does not occur in the logs; they have 'red'." in told["reason"]
         assert "'x1'" in refused(client.post("/decide", json={"colour": "mauve"}), 422)
 
 

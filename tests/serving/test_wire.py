@@ -192,11 +192,11 @@ def test_the_action_is_there_before_its_number_and_how_it_stands_is_told(side):
         ({}, {"covariates.x1": float("nan")}, "x1"),
         ({}, {"covariates.x1": "left"}, "x1"),
         ({}, {"covariates.x1": None}, "x1"),
-        ({}, {"stage": 2}, "stage is 2, and the log awaits stage 1; end the trajectory"),
-        ({}, {"stage": -1}, "stage is -1, and no whole number from 0"),
+        ({}, {"stage": 2}, "stage is 2, but the log expects stage 1; end the trajectory"),
+        ({}, {"stage": -1}, "stage is -1, not a whole number from 0"),
         ({"request": "has the quality Bad"}, {}, "request has the quality Bad"),
-        ({}, {"request": 1.5}, "request is 1.5, and no whole number from 0"),
-        ({}, {"ending": 1}, 'ending is 1, and no text; give "", "finished", or what cut the trajectory'),
+        ({}, {"request": 1.5}, "request is 1.5, not a whole number from 0"),
+        ({}, {"ending": 1}, 'ending is 1, not text; give "", "finished", or what cut the trajectory'),
     ],
 )
 def test_what_is_doubtful_is_not_acted_on_until_it_is_good_and_both_are_told_once(side, doubts, values, told):
@@ -212,7 +212,7 @@ def test_what_is_doubtful_is_not_acted_on_until_it_is_good_and_both_are_told_onc
     assert all("state" in written for written in controller.written)
     controller.values, controller.doubts = good, {}
     assert side.look(controller).state == "ResultReady"
-    assert side.lines[1:] == [f"{URL}: all is well again"]
+    assert side.lines[1:] == [f"{URL}: decisions are written again"]
     assert controller.values["decision"] == 1
 
 
@@ -259,7 +259,7 @@ def test_a_controller_that_lost_its_numbers_begins_a_trajectory_and_the_one_befo
         side.look(controller)
         assert controller.values["decision"] == controller.values["request"]
     controller.ask(4, state)
-    assert side.look(controller).error == "stage is 4, and the log awaits stage 1; end the trajectory"
+    assert side.look(controller).error == "stage is 4, but the log expects stage 1; end the trajectory"
     controller.values |= {"ending": "time-out"}
     assert side.look(controller).state == "Ready"
     side.leave()
@@ -288,7 +288,7 @@ def test_what_goes_wrong_in_halfseen_is_told_and_the_wire_stays(side, monkeypatc
 
     with monkeypatch.context() as patched:
         patched.setattr(side.wire.served, "decide", broken)
-        assert side.look(controller).error == "this went wrong in halfseen itself (ZeroDivisionError)"
+        assert side.look(controller).error == "unexpected error in halfseen (ZeroDivisionError)"
     assert "ZeroDivisionError" in capsys.readouterr().err
     assert side.look(controller).state == "ResultReady"
 
@@ -322,10 +322,10 @@ def test_health_is_ok_while_the_wire_is(side, state, error, status):
         (("# [actions]\n#", "[actions]\nB = 0\nC = 1\n"), "actions: two of them have the same code"),
         (("# [actions]\n#", "[actions]\nB = 1\nC = 2\nAA = 3\n"), "no 'AA'; did you mean 'A'?"),
         (("stale_after_s = 2.0", "stale_after_s = 0"), "stale_after_s:"),
-        (("[namespaces]", "[namespaces"), "it is no TOML"),
+        (("[namespaces]", "[namespaces"), "it is not valid TOML"),
         (
             ("# [security]\n# mode", '[security]\nkey = "k"\ncertificate = "c"\n"server_certificate" = "s"\nmode'),
-            "no file",
+            "no such file",
         ),
     ],
 )

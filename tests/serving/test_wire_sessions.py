@@ -126,15 +126,15 @@ def test_values_come_with_doubts_and_go_with_types():
                     seen["covariates.x1"]
             await controller.write({"action": 8, "decision": 3, "error": "is mapped to nothing"})
             assert [await nodes[name].read_value() for name in ("action", "decision")] == [8, 3]
-            with pytest.raises(ArgumentError, match="action is 'B', and its variable takes Int32; give codes"):
+            with pytest.raises(ArgumentError, match="action is 'B', but its variable takes Int32; give codes"):
                 controller.typed("action", "B")
             with pytest.raises(
-                ArgumentError, match="action is 2147483648, and its variable takes Int32; give it a type"
+                ArgumentError, match="action is 2147483648, but its variable takes Int32; give it a type"
             ):
                 controller.typed("action", 2**31)
             truth = replace(controller, types={"action": ua.VariantType.Boolean})
             assert truth.typed("action", 1).Value == 1
-            with pytest.raises(ArgumentError, match="action is 2, and its variable takes Boolean; give it a type"):
+            with pytest.raises(ArgumentError, match="action is 2, but its variable takes Boolean; give it a type"):
                 truth.typed("action", 2)
 
     asyncio.run(main())
@@ -147,7 +147,7 @@ def test_what_is_not_there_is_told(flat):
             for changes, line in (
                 ({"covariates": {"x1": "Cell/x9"}}, "covariates.x1: the controller has no 'Cell/x9' below Objects"),
                 ({"namespaces": {"cell": "urn:other"}}, "request: the controller has no namespace 'urn:other'"),
-                ({"actions": {}}, "action is 'A', and its variable takes Int32"),
+                ({"actions": {}}, "action is 'A', but its variable takes Int32"),
             ):
                 with pytest.raises(ArgumentError, match=line):
                     await Wire(Served(flat), url, msgspec.structs.replace(MAPPING, **changes)).check()
@@ -184,7 +184,7 @@ def test_a_controller_that_goes_and_comes_again_is_found_again(flat, tmp_path):
     assert logs.stages["reward"].tolist() == [1.5, 0.0]
     assert logs.trajectories["ending"].tolist() == ["finished"]
     assert any("no decision is written" in line for line in told)
-    assert told[-1].endswith("all is well again")
+    assert told[-1].endswith("decisions are written again")
 
 
 class OneUser(UserManager):

@@ -177,7 +177,7 @@ def test_a_second_study_into_the_same_folder_is_refused(script, tmp_path, held):
         with left_to_nobody(second):
             _, said = second.communicate()
         assert second.returncode != 0
-        assert "another study writes into it; wait for its end" in said.decode()
+        assert "another study is writing into it; wait until it ends" in said.decode()
         held.unlink()
         study.communicate()
         assert study.returncode == 0

@@ -112,7 +112,7 @@ READERS = pytest.mark.parametrize(
         ({"0_decisions_to_go": 0}, "0_decisions_to_go is 0, yet robot 0 decides"),
         (
             {"action": "WASH", "object": 2, "1_does": "LIFT 2"},
-            "robot 0 begins with object 2, which robot 1 is acting on by 1",
+            "robot 0 starts on object 2, which robot 1 is acting on by 1",
         ),
     ],
 )
@@ -165,7 +165,7 @@ def test_lists_that_name_what_there_is_not_are_refused(team, column, value, told
 def test_who_acts_beyond_its_reach_is_refused(team, read):
     acts = team.stages[(team.stages["robot"] == 0) & team.stages["object"].notna()].iloc[0]
     nobody = Logs(team.stages, team.trajectories, team.objects.assign(reached_by=[[1]] * len(team.objects)))
-    refused(f"robot 0 begins with object {acts['object']}, which reached_by says it cannot reach", read, nobody)
+    refused(f"robot 0 starts on object {acts['object']}, which reached_by says it cannot reach", read, nobody)
 
 
 @READERS

@@ -98,9 +98,9 @@ SECOND = "trajectory 0, stage 2"
     ("change", "told"),
     [
         ({"robot": 7}, f"{SECOND}: robot is 7, but the columns are of robots 0 to 1"),
-        ({"object": 2}, f"{SECOND}: robot 1 begins with object 2, which robot 0 is acting on by 0_does"),
+        ({"object": 2}, f"{SECOND}: robot 1 starts on object 2, which robot 0 is acting on by 0_does"),
         ({"0_does": "WASH 9"}, f"{SECOND}: 0_does is 'WASH 9', but no trajectory has more than 4 objects"),
-        ({"object": 0}, f"{SECOND}: robot 1 begins with object 0, which reached_by says it cannot reach"),
+        ({"object": 0}, f"{SECOND}: robot 1 starts on object 0, which reached_by says it cannot reach"),
         ({"objects": "somewhere"}, f"{SECOND}, object 0: location is not one of TABLE, DISHWASHER, LOST"),
         ({"objects": "fewer"}, "trajectory 0, stage 1, object 0: stage 2 no longer lists it"),
     ],

@@ -63,7 +63,7 @@ def checked_trajectories(frame: pd.DataFrame) -> pd.DataFrame:
     """
     trajectories = _typed("trajectories", frame, "cause")
     if len(frame) == 0:
-        raise LogError("trajectories: there are none; a log has at least one trajectory")
+        raise LogError("trajectories: the table has no rows; a log has at least one trajectory")
     trajectories = trajectories.sort_values("trajectory", kind="stable", ignore_index=True)
     # Comparing a list in a cell with a string would be element-wise.
     words = trajectories["ending"].map(lambda ending: ending if isinstance(ending, str) else "").astype(object)
@@ -96,7 +96,7 @@ def checked_stages(frame: pd.DataFrame, trajectories: pd.DataFrame) -> pd.DataFr
     """
     stages = _typed("stages", frame, "object")
     trajectory_row = pd.Index(trajectories["trajectory"]).get_indexer(pd.Index(stages["trajectory"]))
-    what = "trajectories has no such trajectory; add its row to trajectories, or drop its stages"
+    what = "trajectories does not list this trajectory; add its row to trajectories, or drop its stages"
     refuse(stages, trajectory_row < 0, what)
     order = np.lexsort((stages["stage"].to_numpy(), trajectory_row))
     stages, trajectory_row = _in_order(stages, order, trajectory_row)
@@ -104,8 +104,8 @@ def checked_stages(frame: pd.DataFrame, trajectories: pd.DataFrame) -> pd.DataFr
     if not num_stages.all():
         trajectory = trajectories["trajectory"].iloc[int(np.argmin(num_stages))]
         raise LogError(
-            f"trajectory {shown(trajectory)}: it has no stage; even a trajectory cut in its first stage has that one, "
-            "not completed"
+            f"trajectory {shown(trajectory)}: it has no stage; even a trajectory cut in its first stage has one, not "
+            "completed"
         )
     values = _stage_values(stages, trajectories, trajectory_row, num_stages)
     rules = [*map(checks.own_reward_rule, filter(is_own_reward, stages.columns)), *checks.COMPLETION_RULES]
@@ -163,10 +163,10 @@ def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, trajectories: pd.
     names = pd.Index(objects["object"]).unique().sort_values()
     name = names.get_indexer(pd.Index(objects["object"]))
     objects, there = _in_order(objects, np.lexsort((name, stage_row)), stage_row * len(names) + name)
-    trouble = "the object is there twice; give each object of a stage one row"
+    trouble = "the object is listed twice; give each object of a stage one row"
     refuse(objects, np.append(False, there[1:] == there[:-1]), trouble, OBJECT_COLUMNS)
     is_empty = np.bincount(stage_row, minlength=len(stages)) == 0
-    remedy = "give the objects that stood there, or leave objects out altogether"
+    remedy = "list the objects of that stage, or leave out the whole objects table"
     refuse(stages, is_empty, f"it has no row in objects; {remedy}")
     acted_on = stages["object"].notna().to_numpy()
     acted_name = np.full(len(stages), -1)

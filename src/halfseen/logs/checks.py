@@ -56,20 +56,21 @@ class Rule(NamedTuple):
 # fmt: off
 TRAJECTORY_RULES = (
     Rule(lambda t: t.trajectory.duplicated().to_numpy(),
-         "it is in trajectories twice", "give each trajectory one row and a name of its own"),
+         "it is in trajectories twice", "give each trajectory one row and a unique name"),
     Rule(lambda t: ~((t.end_s > 0) & np.isfinite(t.end_s)),
-         "end_s {end_s} is no end", "give the finite time from its beginning to its end, > 0 s"),
+         "end_s {end_s} is not a valid end", "give the finite time from its beginning to its end, > 0 s"),
     Rule(lambda t: t.end_s >= EARLIEST_DATE_S,
-         "end_s {end_s} is a date or no seconds", "give the seconds since the trajectory's beginning"),
+         "end_s {end_s} is a date, or not in seconds", "give the seconds since the trajectory's beginning"),
     Rule(lambda t: ~t.is_cut & ~t.is_finished,
          "ending {ending} is unknown", f"say {FINISHED!r} where the trajectory reached its own end, and {CUT!r} where "
          "something outside the task ended it"),
     Rule(lambda t: ~t.is_cut & t.cause.notna().to_numpy(),
-         "it finished, yet has the cause {cause}", f"only a cut has one: leave it null, or make the ending {CUT!r}"),
+         "it finished, yet has the cause {cause}", f"only a cut trajectory has one: leave it null, or make the "
+         f"ending {CUT!r}"),
 )
 ORDER_RULES = (
     Rule(lambda s: ~s.is_first & (s.stage == s.stage_before),
-         "the stage is there twice", "drop one of the two rows, or renumber them"),
+         "the stage is listed twice", "drop one of the two rows, or renumber them"),
     Rule(lambda s: s.stage != s.expected,
          "stage {expected} is missing before it", "number the stages of a trajectory 1, 2, 3, … without gaps"),
     Rule(lambda s: ~s.is_completed & ~s.is_cut_stage,
@@ -77,10 +78,10 @@ ORDER_RULES = (
          "give the clock at its end, or cut the trajectory there"),
     Rule(lambda s: s.is_completed & s.is_cut_stage,
          "elapsed_s {elapsed_s} completes the last stage of a cut trajectory",
-         "add the stage in which the cut fell, with covariates and elapsed_s null, or make the ending 'finished'"),
+         "add the stage in which it was cut, with covariates and elapsed_s null, or make the ending 'finished'"),
     # If two robots of a team are free at once, the stage between their decisions takes no time.
     Rule(lambda s: s.is_completed & ~((s.elapsed_s < np.inf) & ((s.elapsed_s > 0) | s.may_stand & (s.elapsed_s == 0))),
-         "elapsed_s {elapsed_s} is no time after the trajectory's beginning", "fix the clock"),
+         "elapsed_s {elapsed_s} is not a time after the trajectory's beginning", "fix the clock"),
     Rule(lambda s: (not s.may_stand) & s.is_completed & ~s.is_first & (s.elapsed_s == s.before_s),
          "elapsed_s {elapsed_s} is also the {before_s} of stage {stage_before}", "sort the stages or fix the clock"),
     Rule(lambda s: s.is_completed & ~s.is_first & (s.elapsed_s < s.before_s),
@@ -94,8 +95,8 @@ ORDER_RULES = (
 )
 ROBOT_RULE = Rule(
     lambda s: s.is_at_same,
-    "robot {robot} begins with object {object}, which robot {other} is at since stage {since}",
-    f"mend robot or object, or leave {ROBOT!r} out if one robot made all stages",
+    "robot {robot} starts on object {object}, on which robot {other} has worked since stage {since}",
+    f"fix robot or object, or leave {ROBOT!r} out if one robot made all stages",
 )
 COMPLETION_RULES = (
     Rule(lambda s: s.is_completed & s.action.isna().to_numpy(),
@@ -105,14 +106,14 @@ COMPLETION_RULES = (
     Rule(lambda s: ~s.is_completed & ~np.isnan(s.reward),
          "reward {reward} is given, yet the stage was not completed", "leave it null, or give elapsed_s"),
     Rule(lambda s: np.abs(s.reward) > LARGEST,
-         "reward {reward}: the fourth power of such a number is none", "give rewards in another unit"),
+         "reward {reward}: its fourth power is too large for a float", "give rewards in another unit"),
     Rule(lambda s: ~((s.probability > 0) & (s.probability <= 1)) & (s.is_completed | ~np.isnan(s.probability)),
          "probability {probability} of the logged action is outside (0, 1]",
          "fix it, or leave the column out if it was not logged"),
 )
 OBJECT_RULES = (
     Rule(lambda o: o.trajectory_row < 0,
-         "trajectories has no such trajectory", "add its row to trajectories, or drop its objects"),
+         "trajectories does not list this trajectory", "add its row to trajectories, or drop its objects"),
     Rule(lambda o: (o.stage < 1) | (o.stage > o.last),
          "the trajectory has stages 1 to {last}", "add the stage to stages, or drop its objects"),
 )
@@ -138,7 +139,7 @@ def drop_out_rules(robot: int) -> tuple[Rule, Rule]:
     return (
         Rule(lambda t: ~np.isnan(vars(t)[clock]) & ~((vars(t)[clock] > 0) & (vars(t)[clock] <= t.end_s)),
              f"{clock} {{{clock}}} lies outside the trajectory, which ends at {{end_s}} s",
-             "fix it, null where the robot did not drop out before it"),
+             "fix it, or leave it null if the robot did not drop out before the end"),
         Rule(lambda s: s.robot.eq(robot).to_numpy(dtype=bool) & (s.begin_s > vars(s)[clock]),
              f"robot {robot} decides at {{begin_s}} s, yet dropped out at {{{clock}}} s",
              f"fix {clock} or the stage's robot"),
@@ -177,7 +178,7 @@ def checked_unit(unit: Any) -> str | None:
         return None
     stripped = unit.strip() if isinstance(unit, str) else ""
     if not stripped or len(stripped) > MOST_UNIT_CHARS or not stripped.isprintable():
-        raise LogError(f"reward_unit is {shown(unit)}, which is no short text; {_UNIT_REMEDY}")
+        raise LogError(f"reward_unit is {shown(unit)}, which is not a short text; {_UNIT_REMEDY}")
     return stripped
 
 
@@ -191,5 +192,7 @@ def common_unit(units: Iterable[str | None]) -> str | None:
     """
     known = list(dict.fromkeys(unit for unit in units if unit is not None))
     if len(known) > 1:
-        raise LogError(f"rewards are in {known[0]!r} and in {known[1]!r}; bring the logs to one unit before they join")
+        raise LogError(
+            f"rewards are in {known[0]!r} and in {known[1]!r}; convert the logs to one unit before joining them"
+        )
     return known[0] if known else None

@@ -132,7 +132,9 @@ def refuse_misnamed(name: str, frame: pd.DataFrame) -> None:
     for column in (column for column in frame.columns if column not in own):
         meant = column.strip().lower()
         if meant in own:
-            raise LogError(f"{name}: column {column!r} reads like {meant!r} and is none; rename it {meant!r}")
+            raise LogError(
+                f"{name}: column {column!r} reads like {meant!r}, but is not that column; rename it {meant!r}"
+            )
         for owner in (table for table, columns in _OWN.items() if meant in columns):
             raise LogError(f"{name}: column {column!r} belongs to {owner}; put it there, or rename it")
 
@@ -158,8 +160,8 @@ def as_counts(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
     if wrong.any():
         row = int(np.argmax(wrong))
         raise LogError(
-            f"{name}, row {row}, {place(frame, row, ('trajectory',))}: {column} {numbers[row]} is no whole number; "
-            "number the stages of a trajectory 1, 2, 3, …"
+            f"{name}, row {row}, {place(frame, row, ('trajectory',))}: {column} {numbers[row]} is not a whole "
+            "number; number the stages of a trajectory 1, 2, 3, …"
         )
     return pd.Series(numbers.astype(np.int64), index=frame.index)
 
@@ -182,8 +184,10 @@ def as_labels(name: str, frame: pd.DataFrame, column: str, *, is_null_allowed: b
     if wrong.any():
         row = int(np.argmax(wrong))
         is_large = abs(numbers[row]) >= LARGEST_FRACTION
-        why = ", for from 2^53 on a fraction may stand for the next number, too" if is_large else ""
-        raise LogError(f"{name}, row {row}: {column} {numbers[row]} is no name{why}; give whole numbers or text")
+        why = ", as floats from 2^53 on do not hold every whole number" if is_large else ""
+        raise LogError(
+            f"{name}, row {row}: {column} {numbers[row]} is not a valid name{why}; give whole numbers or text"
+        )
     return values.astype("Int64" if is_null.any() else "int64")
 
 
@@ -204,7 +208,7 @@ def check_covariates(name: str, frame: pd.DataFrame, known: Collection[str], *, 
             remedy = f"give the number that the policy saw, or leave column {column!r} of {name} out"
             if name == "objects" or not is_null[row]:
                 return f"{what}; {remedy}"
-            return f"{what}, as in {share_of(int(is_null.sum()), len(frame))} read with it; {remedy_of(column)}"
+            return f"{what}, as in {share_of(int(is_null.sum()), len(frame))} read together; {remedy_of(column)}"
 
         columns = OBJECT_COLUMNS if name == "objects" else ("trajectory", "stage")
         refuse(frame, wrong, trouble, columns)

@@ -71,7 +71,7 @@ def _all_cut(logs: Logs) -> Iterator[str]:
     if not logs.is_finished.any():
         number = logs.num_trajectories
         which = "the only trajectory was" if number == 1 else f"all {number} trajectories were"
-        yield f"{which} cut: nobody saw one come to its own end, which no weight makes up for"
+        yield f"{which} cut: none was observed to its own end, and no weighting corrects for that"
 
 
 def _ends_among_causes(logs: Logs) -> Iterator[str]:
@@ -99,7 +99,7 @@ def _horizons(logs: Logs) -> Iterator[str]:
 def _one_stage(logs: Logs) -> Iterator[str]:
     last = logs.stages.groupby("trajectory")["stage"].max().reindex(logs.trajectory_ids).to_numpy()[~logs.is_finished]
     if len(last) >= 2 * FEWEST_CUTS and logs.horizon > 1 and (last == last[0]).all():
-        yield f"all {len(last)} cuts fall in stage {last[0]}: does something of the task itself end trajectories there?"
+        yield f"all {len(last)} cuts fall in stage {last[0]}: does the task itself end trajectories there?"
 
 
 def _running_clocks(logs: Logs) -> Iterator[str]:
@@ -111,8 +111,8 @@ def _running_clocks(logs: Logs) -> Iterator[str]:
     if len(clocks) >= FEWEST_CUTS and (first_s > before_s).all():
         one, other = map(shown, clocks.index[:2])
         yield (
-            f"elapsed_s runs on over trajectories: the first stage of {other} ends at {first_s[0]:.4g} s, after the "
-            f"last of {one} at {before_s[0]:.4g} s; count seconds since each trajectory began"
+            f"elapsed_s continues across trajectories: the first stage of {other} ends at {first_s[0]:.4g} s, after "
+            f"the last of {one} at {before_s[0]:.4g} s; count seconds since each trajectory began"
         )
 
 
@@ -122,8 +122,8 @@ def _text_order(logs: Logs) -> Iterator[str]:
     for one, other in pairwise(names):
         if _as_counted(one) > _as_counted(other):
             yield (
-                f"trajectories are sorted by their names as text, where {one!r} comes before {other!r}, and which came "
-                "later is told by that order: write their numbers with as many digits"
+                f"trajectories are sorted by name as text, where {one!r} comes before {other!r}, and that order "
+                "decides which came later: write their numbers with equally many digits"
             )
             return
 
@@ -147,9 +147,9 @@ def _identifiers(logs: Logs) -> Iterator[str]:
         first = values[is_first]
         numbered = next((what for what, of in {"trajectories": first, "rows": values}.items() if _is_count(of)), None)
         if numbered is not None:
-            yield f"covariate {name} numbers the {numbered}, which tells nothing of the next one: leave it out"
+            yield f"covariate {name} numbers the {numbered}, which predicts nothing about the next one: leave it out"
         elif _is_clock(values - first[row], began_s):
-            yield f"covariate {name} runs with the clock, which later trajectories have of their own: leave it out"
+            yield f"covariate {name} increases with the clock, so later trajectories have unseen values: leave it out"
 
 
 def _is_count(values: Rows) -> bool:
@@ -171,8 +171,8 @@ def _numbers_as_text(logs: Logs) -> Iterator[str]:
         is_number = text.map(lambda each: re.fullmatch(AS_NUMBER, each) is not None).astype(bool)
         if is_number.mean() > 0.5:
             yield (
-                f"{name} is text that reads as numbers, such as {shown(text[is_number].iloc[0])}, and each is taken "
-                "for a category: write them as numbers, with a decimal point and without separators"
+                f"{name} is text that looks like numbers, such as {shown(text[is_number].iloc[0])}, and each counts as "
+                "a category: write them as numbers, with a decimal point and without separators"
             )
 
 
@@ -182,8 +182,8 @@ def _missing_as_text(logs: Logs) -> Iterator[str]:
         is_missing = text.map(lambda each: each.strip().lower() in READ_AS_MISSING).astype(bool)
         if is_missing.any():
             yield (
-                f"{name} is {shown(text[is_missing].iloc[0])} in {is_missing.sum()} of {len(values)} rows, and that is "
-                "taken for a category: where nothing was seen, leave it empty, and say by --missing what stands for it"
+                f"{name} is {shown(text[is_missing].iloc[0])} in {is_missing.sum()} of {len(values)} rows, and counts "
+                "as a category: if it means missing, leave it empty, and choose a fill rule with --missing"
             )
 
 
@@ -206,7 +206,7 @@ def _no_alternative(logs: Logs) -> Iterator[str]:
         for group in np.flatnonzero(alone):
             yield (
                 f"where {each.name} is {each.words[group]}, all {taken[group].max()} stages took "
-                f"{names[taken[group].argmax()]}: nothing is known of any other action there; try others now and then"
+                f"{names[taken[group].argmax()]}: no other action is known there; try others occasionally"
             )
 
 
@@ -240,8 +240,8 @@ def _no_probability(logs: Logs) -> Iterator[str]:
     actions = logs.stages["action"].dropna()
     if "probability" not in logs.stages.columns and len(actions) >= FEWEST_ROWS and actions.nunique() > 1:
         yield (
-            "no action has a probability: learning needs none, but evaluating asks for it, or estimates it if told to "
-            "(--propensity estimated)"
+            "no action has a probability: learning does not need it, but evaluation does, or estimates it with "
+            "--propensity estimated"
         )
 
 

@@ -55,7 +55,9 @@ def place_of(address: str | Path | Place) -> Place:
         place.fs  # noqa: B018 - loads the library that opens the store
     except (ImportError, ValueError) as error:
         reason = str(error).splitlines()[0].rstrip(".")
-        raise LogError(f"{address}: it cannot be opened ({reason}); install that, or copy the folder here") from error
+        raise LogError(
+            f"{address}: it cannot be opened ({reason}); install what is missing, or copy the folder to this machine"
+        ) from error
     return place
 
 
@@ -95,7 +97,7 @@ MOST_PARTS = 64
 NUM_SHARDS = 64
 """Smallest number of shards of a log with enough parts."""
 compute: Any = pyarrow.compute
-UNSORTED = "write the logs by Logs.write or write_stream, which sort them"
+UNSORTED = "write the logs with Logs.write or write_stream, which sort them"
 """Remedy for a folder with unsorted tables."""
 
 
@@ -207,14 +209,14 @@ def _way_in(file: Path) -> str:
     """Hint at the command that reads a file of another program."""
     kind = file.suffix.lower()
     if kind in PACKED:
-        return "unpack it, and read what it holds"
+        return "unpack it, and read its contents"
     if kind in FOREIGN_TABLES:
         line = f"halfseen convert {shlex.quote(str(file))} --mapping-template --out cell.toml"
         return f"make a mapping of it: {line}"
     if kind in DATABASES:
         url = shlex.quote(f"sql:{DATABASES[kind]}:///{file}")
         return f"read the database by its SELECTs: halfseen convert {url} --mapping cell.toml --out LOGS"
-    return "`halfseen convert --help` says which files are read, by the end of their names"
+    return "`halfseen convert --help` lists the files that are read, by extension"
 
 
 def refuse_no_folder(folder: Place) -> None:
@@ -222,16 +224,16 @@ def refuse_no_folder(folder: Place) -> None:
     with asking(folder):
         is_there = folder.is_dir()
     if isinstance(folder, Path) and folder.is_file():
-        raise LogError(f"{folder}: it is a file, and no folder of logs; {_way_in(folder)}")
+        raise LogError(f"{folder}: it is a file, not a folder of logs; {_way_in(folder)}")
     if not is_there:
         wrote = "Logs.write or `halfseen simulate` wrote"
-        raise LogError(f"{folder}: there is no such folder; give the folder that {wrote}")
+        raise LogError(f"{folder}: no such folder; give the folder that {wrote}")
 
 
 def whole_table(file: Place) -> AbstractContextManager[None]:
     """Refuse a table that cannot be read, with the reason (`LogError`)."""
     missing = "it is missing; copy the whole folder, or write the logs again"
-    return refused(file, "it is no whole Parquet file", "copy it again, or write the logs again", missing)
+    return refused(file, "it is not a complete Parquet file", "copy it again, or write the logs again", missing)
 
 
 class Part(NamedTuple):
@@ -309,7 +311,7 @@ def _ends(folder: Folder, name: str, trajectories_at_once: int) -> np.ndarray:
         num_trajectories, num_rows, last = num_trajectories + len(at), num_rows + len(column), values[-1].as_py()
     if num_trajectories != folder.num_rows["trajectories"]:
         raise LogError(
-            f"{folder.place / name}.parquet: the rows of its trajectories do not stand together, or a trajectory has "
-            f"none; {UNSORTED}"
+            f"{folder.place / name}.parquet: the rows of a trajectory are not adjacent, or a trajectory has none; "
+            f"{UNSORTED}"
         )
     return np.concatenate([*found, [num_rows]])

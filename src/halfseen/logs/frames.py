@@ -98,7 +98,7 @@ def _beyond_64_bits(frame: Any) -> str:
     for label, values in frame.items():
         for value in values[values.notna()] if values.dtype == object else ():
             if isinstance(value, int) and not -(2**63) <= value < 2**63:
-                return f"column {label!r} holds {shown(value)}, beyond the whole numbers of 64 bits"
+                return f"column {label!r} holds {shown(value)}, beyond 64-bit integers"
     return "a column holds a number that is too large to be stored"
 
 

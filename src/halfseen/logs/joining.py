@@ -45,7 +45,7 @@ def joined(parts: Sequence[Logs]) -> Logs:
     if not parts:
         raise LogError("there is no log to join; give at least one")
     if len({part.objects is None for part in parts}) > 1:
-        raise LogError("only some of the logs have objects; join those that have and those that have none apart")
+        raise LogError("only some of the logs have objects; join those with and those without separately")
     # Through Arrow: a column that is all null in one log has no type there, and takes that of the others.
     frames = {name: [part.tables[name] for part in parts] for name in parts[0].tables}
     arrow = {name: [pa.Table.from_pandas(each, preserve_index=False) for each in of] for name, of in frames.items()}
@@ -53,7 +53,7 @@ def joined(parts: Sequence[Logs]) -> Logs:
         tables: Any = {name: pa.concat_tables(of, promote_options="permissive") for name, of in arrow.items()}
     except pa.ArrowException as error:
         raise LogError(
-            f"the logs have columns of types that do not go together ({reason_of(error)}); give them one type"
+            f"the logs have columns of incompatible types ({reason_of(error)}); give them one type"
         ) from error
     missing = parts[0].missing if all(part.missing == parts[0].missing for part in parts) else None
     return Logs(**tables, reward_unit=common_unit(part.reward_unit for part in parts), missing=missing)
@@ -99,7 +99,7 @@ def write_stream(
                     "parts"
                 )
             if writers and part.tables.keys() != writers.keys():
-                raise LogError("only some of the parts have objects; write those with and those without apart")
+                raise LogError("only some of the parts have objects; write those with and those without separately")
             last, unit = part.trajectory_ids[-1], common_unit([unit, part.reward_unit])
             for name, table in part.tables.items():
                 if name not in writers:
@@ -117,7 +117,7 @@ def write_stream(
                 writers[name].write_table(_of_schema(name, part, schema))
                 rows[name] += len(table)
         if not writers:
-            raise ArgumentError("there is no part; give at least one log")
+            raise ArgumentError("there are no parts; give at least one log")
         stack.close()
         write_manifest(fresh, rows, unit)
 
@@ -127,7 +127,7 @@ def _of_schema(name: str, part: Logs, schema: pa.Schema) -> pa.Table:
     try:
         return pa.Table.from_pandas(part.tables[name].reindex(columns=schema.names), schema, preserve_index=False)
     except pa.ArrowException as error:
-        trouble = f"does not fit the types of those before ({reason_of(error)}); give every part the same types"
+        trouble = f"does not have the types of those before ({reason_of(error)}); give every part the same types"
         raise LogError(f"{name}, from trajectory {shown(part.trajectory_ids[0])} on: it {trouble}") from error
 
 
@@ -263,9 +263,7 @@ def _agreed(
         return here
     if set(here) != set(schemas):
         having, lacking = (run, first) if "objects" in here else (first, run)
-        raise LogError(
-            f"{having} has objects and {lacking} has none; write those that have and those that have none apart"
-        )
+        raise LogError(f"{having} has objects and {lacking} has none; write those with and those without separately")
     return {name: _unified(name, schemas[name], here[name], run, first) for name in here}
 
 
@@ -280,7 +278,7 @@ def _unified(table: str, before: pa.Schema, here: pa.Schema, run: Place, first: 
     if missing:
         having, lacking = (run, first) if missing[0] in here.names else (first, run)
         raise LogError(
-            f"{table}: {having} has column {missing[0]!r} and {lacking} has not; drop it, or add what was seen"
+            f"{table}: {having} has column {missing[0]!r}, but {lacking} does not; drop it, or add its values"
         )
     for column in set(before.names) & set(here.names):
         try:

@@ -135,7 +135,7 @@ class JournalEvents:
             raise LogError(f"{self.file}: it cannot be read ({reason_of(error)}); copy it again") from error
         if self.holes == [(1, self.num_lines)]:
             raise LogError(
-                f"{self.file}: none of its lines checks, so it is no journal or all of it is lost; restore it"
+                f"{self.file}: all its lines fail their checksum, so it is not a journal or is lost; restore it"
             )
 
     @property
@@ -158,7 +158,7 @@ class JournalEvents:
         num_lost = sum(last - first + 1 for first, last in self.holes)
         warn(
             self.file,
-            f"{num_lost} of {self.num_lines} lines do not check and are left out ({lost}{more}), as after "
+            f"{num_lost} of {self.num_lines} lines fail their checksum and are left out ({lost}{more}), as after "
             "a loss of power; all others are kept, and a trajectory in progress there counts as cut by a crash",
         )
 
@@ -238,8 +238,8 @@ def tell_missing(parts: list[Path]) -> None:
     if missing:
         warn(
             parts[0].parent,
-            f"the journal has no {missing[0]}, though later parts are there: what was recorded in "
-            "it is left out; copy it there if it was not moved away on purpose",
+            f"the journal has no {missing[0]}, though later parts are there: what was recorded in it is left out; "
+            "copy it there unless it was moved away on purpose",
         )
 
 

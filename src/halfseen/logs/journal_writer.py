@@ -176,7 +176,7 @@ class JournalWriter:
             The journal is closed, belongs to another process, or the disk is full.
         """
         if self._lock is None:
-            raise LogError(f"{self._held.part}: the recorder is closed; open a new one on the folder, which goes on")
+            raise LogError(f"{self._held.part}: the recorder is closed; open a new one on the folder to continue")
         if os.getpid() != self._process:
             raise LogError(
                 f"{self._held.part}: the recorder belongs to process {self._process}, and this is its fork "
@@ -245,7 +245,7 @@ class JournalWriter:
             remedy = "make room" if error.errno in _NO_ROOM else "see to the disk"
             raise LogError(
                 f"{self._held.part}: the event cannot be written ({error.strerror}); {remedy} and give it again; all "
-                "before it is kept"
+                "earlier events are kept"
             ) from error
 
 
@@ -262,7 +262,7 @@ def _restored(part: Path, restore: Callable[[dict[str, Any]], None]) -> journal.
 def _write(descriptor: int, lines: bytes, is_synced: bool) -> None:
     num_written = os.write(descriptor, lines)
     if num_written != len(lines):
-        raise OSError(ENOSPC, f"{num_written} of {len(lines)} bytes fitted")
+        raise OSError(ENOSPC, f"{num_written} of {len(lines)} bytes were written")
     if is_synced:
         sync(descriptor)
 
@@ -278,7 +278,7 @@ def _locked(folder: Path, file: Path) -> int:
             except OSError as error:
                 os.close(descriptor)
                 raise ArgumentError(
-                    f"{folder}: its files cannot be locked ({error.strerror}), which keeps two recorders apart; record "
+                    f"{folder}: its files cannot be locked ({error.strerror}), so two recorders could mix; record "
                     "into a folder on a disk of this machine"
                 ) from error
             os.close(descriptor)
@@ -286,7 +286,7 @@ def _locked(folder: Path, file: Path) -> int:
         time.sleep(LOCK_PAUSE_S)
     raise ArgumentError(
         f"{folder}: another recorder, of this or another process, is recording into it; close that one, or choose "
-        "another folder (the lock goes with its process: there is nothing to remove after a crash)"
+        "another folder (the lock ends with its process: nothing needs removing after a crash)"
     )
 
 

@@ -235,7 +235,7 @@ class Logs:
         """
         require_columns("stages", self.stages, (column,))
         if not pd.api.types.is_numeric_dtype(self.stages[column].dtype):
-            raise LogError(f"stages: column {column!r} holds no numbers; ask for a numeric column")
+            raise LogError(f"stages: column {column!r} holds no numbers; give a numeric column")
         values = np.full((self.num_trajectories, self.horizon), np.nan)
         stage = self.stages["stage"].to_numpy()
         values[np.cumsum(stage == 1) - 1, stage - 1] = self.stages[column].to_numpy(dtype=np.float64, na_value=np.nan)
@@ -276,7 +276,9 @@ class Logs:
         wanted = pd.Index(trajectories)
         unknown = wanted[~wanted.isin(self.trajectory_ids)]
         if len(unknown):
-            raise LogError(f"trajectory {shown(unknown[0])}: there is no such trajectory; choose among trajectory_ids")
+            raise LogError(
+                f"trajectory {shown(unknown[0])}: the log has no such trajectory; choose among trajectory_ids"
+            )
         kept: Any = {name: table[pd.Index(table["trajectory"]).isin(wanted)] for name, table in self.tables.items()}
         return Logs(**kept, reward_unit=self.reward_unit, missing=self.missing)
 

@@ -41,7 +41,7 @@ class Fill:
 
     def __post_init__(self) -> None:
         if isinstance(self.value, float) and not np.isfinite(self.value):
-            raise ValueError(f"value is {self.value}, and numbers are finite")
+            raise ValueError(f"value is {self.value}, but numbers must be finite")
         if self.num_missing < 0 or (self.has_flag and not self.is_number):
             raise ValueError(f"num_missing is {self.num_missing}, has_flag {self.has_flag}; only numbers have a flag")
 
@@ -59,7 +59,7 @@ class Fill:
     def stands(self) -> str:
         """Describe how it is filled in."""
         value = f"the median {self.value:.6g}" if self.is_number else f"the category {self.value!r}"
-        return f"the last value of its trajectory stands, or {value}," if self.rule == LAST else f"{value} stands"
+        return f"the last value of its trajectory, or {value}" if self.rule == LAST else value
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Filling:
         columns: dict[str, Any] = {}
         absent = self.absent_from(stages.columns)
         for name in absent:
-            warn("stages", f"there is no column {name!r}, and {self.fills[name].stands} for it in every stage")
+            warn("stages", f"there is no column {name!r}; it is replaced by {self.fills[name].stands} in every stage")
         full = stages.assign(**dict.fromkeys(absent)) if absent else stages
         for name in (name for name in self.fills if name in full.columns):
             columns |= _filled(full, name, self.fills[name], full["trajectory"])
@@ -147,7 +147,7 @@ class Filling:
                     continue
                 full[name] = value
                 shown = f"{value:.6g}" if isinstance(value, int | float) else repr(value)
-                said[name] = f"{name} is missing, and {shown}, {source}, stands for it"
+                said[name] = f"{name} is missing and is replaced by {shown}, {source}"
             elif fill.is_number and isinstance(state[name], bool):
                 # If the fill value is a median, convert truth values to numbers.
                 full[name] = float(state[name])
@@ -158,7 +158,7 @@ class Filling:
     def lines(self) -> list[str]:
         """Report for each covariate with missing values how often it was missing, and how it is filled in."""
         return [
-            f"{name} is missing in {share_of(fill.num_missing, self.num_stages)}; {fill.stands} for it"
+            f"{name} is missing in {share_of(fill.num_missing, self.num_stages)}; it is replaced by {fill.stands}"
             for name, fill in self.fills.items()
             if fill.num_missing
         ]
@@ -181,7 +181,7 @@ def share_of(num_missing: int, num_stages: int) -> str:
 def remedy_of(name: str) -> str:
     """The remedy for nulls in a covariate."""
     return (
-        f"fill it in by --missing {name}={MEDIAN} (Python: missing={{{name!r}: {MEDIAN!r}}}), or by the rule {LAST}, "
+        f"fill it in by --missing {name}={MEDIAN} (Python: missing={{{name!r}: {MEDIAN!r}}}), or with the rule {LAST}, "
         f"or leave column {name!r} of stages out"
     )
 
@@ -211,7 +211,7 @@ def rules_of(missing: Missing) -> dict[str, str | Fill]:
         if not isinstance(rule, Fill) and rule not in RULES:
             where = "missing" if name == OTHERS else f"missing of {name!r}"
             close = did_you_mean(rule, RULES) if isinstance(rule, str) else ""
-            raise ArgumentError(f"{where} is {rule!r}; it is one of {', '.join(RULES)}{close}")
+            raise ArgumentError(f"{where} is {rule!r}; choose among {', '.join(RULES)}{close}")
     return rules
 
 
@@ -257,7 +257,9 @@ def learned_filling(missing: Missing, covariates: Collection[str], column: Colum
             if fill is not None:
                 fills[name] = fill
             elif name in rules:
-                raise LogError(f"covariate {name} holds neither numbers nor text, which no rule fills in; leave it out")
+                raise LogError(
+                    f"covariate {name} holds neither numbers nor text, which no rule can fill in; leave it out"
+                )
     ordered = {name: fills[name] for name in (*covariates, *fills) if name in fills}
     return Filling(ordered, num_stages) if fills else None
 
@@ -277,8 +279,8 @@ def _learned(name: str, rule: Any, parts: Iterable[Any], flags: Iterable[Any] | 
             numbers.append(_numbers(values)[~was_missing])
     if num_missing == num_rows:
         raise LogError(
-            f"covariate {name} is null in every one of the {num_rows:,} stages, so that nothing can stand for it; "
-            f"leave column {name!r} of stages out"
+            f"covariate {name} is null in every one of the {num_rows:,} stages, so no value can replace it; leave "
+            f"column {name!r} of stages out"
         )
     if is_text:
         return Fill(rule, CATEGORY if num_missing else None, num_missing)
@@ -305,7 +307,7 @@ def _filled(frame: Frame, name: str, fill: Fill, trajectory: Any) -> dict[str, A
     kind, is_null = _kind(values), values.isna().to_numpy(dtype=bool)
     if kind not in ("null", "number" if fill.is_number else "text"):
         said = "number" if fill.is_number else "text"
-        raise LogError(f"covariate {name} holds {kind or 'lists'}, and a {said} is to stand where it is missing")
+        raise LogError(f"covariate {name} holds {kind or 'lists'}, but missing values are filled with a {said}")
     columns: dict[str, Any] = {}
     if is_null.any() or (fill.num_missing and fill.is_number):
         plain = pd.Series(_numbers(values), index=frame.index) if fill.is_number else values.astype(object)
@@ -316,8 +318,8 @@ def _filled(frame: Frame, name: str, fill: Fill, trajectory: Any) -> dict[str, A
         before = frame[name + FLAG] if name + FLAG in frame.columns else None
         if before is not None and not _is_flag(before):
             raise LogError(
-                f"covariate {name + FLAG} is there, and not 0 or 1, by which the rule {MEDIAN} says where {name} is "
-                f"missing; rename it, or choose another rule for {name}"
+                f"covariate {name + FLAG} has values other than 0 and 1, with which the rule {MEDIAN} marks where "
+                f"{name} is missing; rename it, or choose another rule for {name}"
             )
         columns[name + FLAG] = pd.Series((is_null | _said(before)).astype(np.int64), index=frame.index)
     return columns

@@ -76,7 +76,7 @@ def _apart(logs: Logs, what: str, values: Any, unit: str = "") -> Iterator[str]:
     first = int(np.argmax(is_small if is_small.sum() <= is_large.sum() else is_large))
     yield (
         f"{what} {small} in {is_small.sum()} trajectories and {large} in {is_large.sum()} (trajectory "
-        f"{shown(logs.trajectory_ids[first])} is of the fewer), with none in between"
+        f"{shown(logs.trajectory_ids[first])} is one of the smaller group), with none in between"
     )
 
 

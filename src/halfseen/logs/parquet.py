@@ -83,7 +83,7 @@ def chunks_of(file: Path) -> list[list[Chunk]]:
     except (IndexError, KeyError, TypeError, AttributeError) as error:
         raise ValueError("its footer is broken") from error
     if any(number < 0 for group in chunks for chunk in group for number in chunk):
-        raise ValueError("its footer counts fewer than no values")
+        raise ValueError("its footer has a negative number of values")
     return chunks
 
 
@@ -139,7 +139,7 @@ class _Footer:
             return [(self._value(kinds >> 4), self._value(kinds & 15)) for _ in range(size)]
         if kind == 12:
             return self.struct()
-        raise ValueError(f"its footer has a value of a kind {kind}, which there is not")
+        raise ValueError(f"its footer has a value of unknown kind {kind}")
 
     def _byte(self) -> int:
         self._at += 1
@@ -183,7 +183,7 @@ def parquet_file(file: Path) -> pq.ParquetFile:
     num_bytes = check_file(file, TABLE)
     opened, groups = pq.ParquetFile(file), chunks_of(file)
     if any(len(group) != opened.metadata.num_columns for group in groups):
-        raise ValueError("its footer tells of other columns than its schema")
+        raise ValueError("its footer and its schema have different columns")
     check_unpacked(num_bytes, _bytes_of_values(groups, opened.schema))
     check_unpacked(num_bytes, bytes_of_texts(groups, file, opened))
     return opened

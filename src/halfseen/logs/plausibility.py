@@ -119,8 +119,8 @@ def untrue_probabilities(logs: Logs) -> Iterator[str]:
             mean = inverse.sum() / len(stages)
             yield (
                 f"{took.sum()} of {len(stages)} stages took {name}, and 1/p of these adds up to {mean:.2f} times "
-                "all stages, which no policy can bring about; log the probability of the action that was taken, at the "
-                "moment it was drawn"
+                "all stages, which no policy can produce; log the probability of the action that was taken, when it "
+                "was drawn"
             )
             return
 
@@ -132,9 +132,9 @@ def _too_few_others(probability: Rows) -> Iterator[str]:
     expected, others = float(((1.0 - probability) / probability)[likely].sum()), int((probability <= 0.5).sum())
     if likely.sum() >= FEWEST and float(pdtr(others, expected)) < LEVEL:
         yield (
-            f"{likely.sum()} actions were taken with a probability of {probability[likely].mean():.2g} on average, so "
-            f"some {expected:.0f} stages must have taken a less likely one, and {others} say so: these look like "
-            "the chances of a rule, whatever was taken; log that of the action that was taken"
+            f"{likely.sum()} actions were taken with a probability of {probability[likely].mean():.2g} on average, "
+            f"so about {expected:.0f} stages must have taken a less likely one, but only {others} did: these look "
+            "like the probabilities of a rule's choice, not of the action taken; log the latter"
         )
 
 

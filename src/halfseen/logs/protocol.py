@@ -92,19 +92,20 @@ def call_of(line: bytes) -> tuple[str, dict[str, Any]]:
         The line is too long or not a JSON object, or there is no such call.
     """
     if len(line) > MOST_BYTES:
-        raise LogError(f"the line is longer than {MOST_BYTES} bytes; record less in a stage, such as a file's name")
+        raise LogError(
+            f"the line is longer than {MOST_BYTES} bytes; record less in a stage, such as a file's name "
+            "instead of its contents"
+        )
     try:
         given = json.loads(line, parse_constant=_no_number, object_pairs_hook=named_once)
     except (ValueError, RecursionError) as error:
         reason = "it is nested too deep" if isinstance(error, RecursionError) else error
-        raise LogError(f"the line is no JSON ({reason}); give one JSON object a line") from error
+        raise LogError(f"the line is not valid JSON ({reason}); give one JSON object a line") from error
     name = given.pop("call", None) if isinstance(given, dict) else None
     if not isinstance(name, str):
-        raise LogError(f'the line names no call; give a JSON object with "call", one of {", ".join(CALLS)}')
+        raise LogError(f'the line has no call; give a JSON object with "call", one of {", ".join(CALLS)}')
     if name not in CALLS:
-        raise LogError(
-            f"there is no call {name[:40]!r}{did_you_mean(name[:40], CALLS) or '; give ' + ', '.join(CALLS)}"
-        )
+        raise LogError(f"unknown call {name[:40]!r}{did_you_mean(name[:40], CALLS) or '; give ' + ', '.join(CALLS)}")
     takes = CALLS[name]
     for key in given:
         if key not in takes:
@@ -120,7 +121,7 @@ def _make(recorder: LogRecorder, name: str, given: dict[str, Any]) -> None:
     if name == "begin_trajectory":
         columns = given.get("columns", {})
         if not isinstance(columns, Mapping):
-            raise LogError("columns are no JSON object; give names and values")
+            raise LogError("columns are not a JSON object; give names and values")
         recorder.begin_trajectory(given.get("name"), **columns)
     elif recorder.trajectory is None:
         raise LogError(f"{name}: no trajectory has begun; begin_trajectory first")
@@ -138,7 +139,7 @@ def _bounded(lines: Lines) -> Iterator[bytes]:
 
 
 def _no_number(word: str) -> Any:
-    raise ValueError(f"{word} is no number")
+    raise ValueError(f"{word} is not a number")
 
 
 HOST = "127.0.0.1"
@@ -173,7 +174,7 @@ def listening(address: int | Path) -> Iterator[socket.socket]:
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
             raise ArgumentError(
-                f"{address}: nobody can listen there ({reason}); choose another port or file"
+                f"{address}: it cannot be listened on ({reason}); choose another port or file"
             ) from error
         try:
             yield listener

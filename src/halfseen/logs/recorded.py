@@ -259,7 +259,9 @@ class _Table:
         try:
             return pa.concat_tables(self._chunks, promote_options="permissive")
         except pa.ArrowException as error:
-            raise LogError(f"its rows make no table ({reason_of(error)}); record one kind in a column") from error
+            raise LogError(
+                f"its rows do not form a table ({reason_of(error)}); record one kind of value in a column"
+            ) from error
 
     def _pack(self) -> None:
         names = dict.fromkeys(name for row in self._rows for name in row)
@@ -274,7 +276,8 @@ def _column(name: str, values: list[Any]) -> pa.Array:
         return pa.array(values, _TYPES.get(name))
     except (pa.ArrowException, OverflowError, UnicodeError) as error:
         raise LogError(
-            f"what it holds of {shown(name)} makes no column ({reason_of(error)}); record one kind of value in it"
+            f"what it holds of {shown(name)} does not form a column ({reason_of(error)}); record one kind of value "
+            "in it"
         ) from error
 
 

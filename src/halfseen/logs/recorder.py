@@ -101,7 +101,7 @@ class LogRecorder:
     ) -> None:
         folder, unit = Path(folder), checked_unit(reward_unit)
         if (folder / MANIFEST).exists():
-            raise ArgumentError(f"{folder}: it holds logs that are written for good; record into another folder")
+            raise ArgumentError(f"{folder}: it holds finished logs; record into another folder")
         if not isinstance(part_bytes, int) or part_bytes < 1:
             raise ArgumentError(f"part_bytes is {part_bytes!r}; give a whole number of bytes, such as {PART_BYTES}")
         self._check, self._keeps_events = check, keeps_events

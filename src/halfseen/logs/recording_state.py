@@ -80,9 +80,9 @@ class Schema:
         given = [] if objects is None else list(objects)
         if not given:
             if self.objects:
-                raise LogError(f"{where}: it has no objects, though stages before it have; give those that stood there")
+                raise LogError(f"{where}: it has no objects, though stages before it have; give those present")
             if objects is not None:
-                raise LogError(f"{where}: objects is empty; give those that stood there, or None in every stage")
+                raise LogError(f"{where}: objects is empty; give those present, or None in every stage")
             self.objects = {}
             return []
         if self.objects == {}:
@@ -91,7 +91,7 @@ class Schema:
         names = [row["object"] for row in rows]
         repeated = next((name for k, name in enumerate(names) if name in names[:k]), None)
         if repeated is not None:
-            raise LogError(f"{where}, object {shown(repeated)}: it is there twice; give each object one row")
+            raise LogError(f"{where}, object {shown(repeated)}: it is listed twice; give each object one row")
         return rows
 
     def _object_row(self, given: Any, where: str) -> Row:
@@ -133,12 +133,12 @@ class Schema:
     def _label(self, what: str, value: Any, where: str) -> int | str:
         label, kind = _plain(value, where, what)
         if not isinstance(label, int | str) or isinstance(label, bool):
-            raise LogError(f"{where}: {what} {_short(label)} is no name; give a whole number or text")
+            raise LogError(f"{where}: {what} {_short(label)} is not a name; give a whole number or text")
         kind = _in_words(kind)
         known = self.labels.setdefault(what, kind)
         if known != kind:
             raise LogError(
-                f"{where}: {what} {_short(label)} is a {kind}, those before are {known}; give names of one kind"
+                f"{where}: {what} {_short(label)} is a {kind}, but earlier ones are {known}; give names of one kind"
             )
         return label
 
@@ -193,9 +193,9 @@ class TrajectoryState:
         if at_s < self.at_s or (is_later and at_s == self.at_s):
             trouble = f"{'is before' if at_s < self.at_s else 'is still'} the {self.at_s} of the event before"
         elif 0.0 < at_s < RESOLUTION_S:
-            trouble = f"is less than the {RESOLUTION_S} s that clocks tell apart"
+            trouble = f"is less than the {RESOLUTION_S} s that clocks resolve"
         elif at_s >= EARLIEST_DATE_S:
-            trouble = "is a date or no seconds"
+            trouble = "is a date, or not in seconds"
         if trouble is not None:
             raise LogError(f"{where}: elapsed_s {at_s} {trouble}; {_CLOCK_REMEDY}")
         return at_s
@@ -235,7 +235,7 @@ def checked_text(value: str, where: str, what: str) -> str:
     try:
         value.encode()
     except UnicodeEncodeError as error:
-        raise LogError(f"{where}: {what} {_short(value)} is no Unicode text; decode it") from error
+        raise LogError(f"{where}: {what} {_short(value)} is not Unicode text; decode it") from error
     return value
 
 
@@ -256,7 +256,7 @@ def _row(
             raise LogError(f"{where}: {word} {name!r} has a name that is not text; rename it")
         before, what = (known or {}).get(name), f"{word} {_written(name)}"
         if before is None and (name.strip().lower() in OWN_NAMES or is_of_one_robot(name)):
-            raise LogError(f"{where}: {name!r} is a name of the log's own; choose another for what you add")
+            raise LogError(f"{where}: {name!r} is a reserved column of the log; choose another name")
         if value is None and word == "column":
             continue
         if before is None:
@@ -266,10 +266,10 @@ def _row(
     if known is not None and word != "column":
         for name in (name for name in known if name not in kinds and not _may_lack(name, known[name], kinds)):
             raise LogError(
-                f"{where}: {word} {_written(name)} is missing, though it was there before; give it in every row"
+                f"{where}: {word} {_written(name)} is missing, though it was given before; give it in every row"
             )
         for name in (name for name in kinds if name not in known and not _may_lack(name, kinds[name], known)):
-            raise LogError(f"{where}: {word} {_written(name)} was not there before; give the same in every row")
+            raise LogError(f"{where}: {word} {_written(name)} was not given before; give the same in every row")
         kinds = {**known, **kinds}
     return row, kinds
 
@@ -288,8 +288,8 @@ def _common_kind(before: str | None, now: str, where: str, what: str) -> str:
             return kind
     if _in_words(before) == _in_words(now):
         raise LogError(
-            f"{where}: {what} has a whole number beyond 2^53 and a fraction, now or before, and no column holds both "
-            "exactly; give such whole numbers as text"
+            f"{where}: {what} has a whole number beyond 2^53 and a fraction, now or before, but no column can hold "
+            "both exactly; give such whole numbers as text"
         )
     raise LogError(f"{where}: {what} is a {_in_words(now)}, before it was a {_in_words(before)}; give it one type")
 
@@ -330,7 +330,7 @@ def _plain_list(values: list | tuple, where: str, what: str) -> tuple[list[Any],
     pairs = [_plain(value, where, what) for value in values]
     kinds = {kind for _, kind in pairs}
     if any(kind.startswith(_EMPTY_LIST) for kind in kinds) or len(set(map(_in_words, kinds))) > 1:
-        raise LogError(f"{where}: {what} is no flat list of one type; give numbers or text, side by side")
+        raise LogError(f"{where}: {what} is not a flat list of one type; give only numbers or only text")
     common: Any = reduce(lambda one, other: _common_kind(one, other, where, what), kinds, None)
     return [plain for plain, _ in pairs], _EMPTY_LIST if common is None else f"list of {common}s"
 

@@ -80,7 +80,7 @@ def _refuse_others(file: Place, trajectories: pa.ChunkedArray, names: list[Any])
     for found, name in zip(trajectories.unique().to_pylist(), names, strict=True):
         if found != name:
             raise LogError(
-                f"{file}: rows of trajectory {shown(found)} stand where trajectories.parquet has trajectory "
+                f"{file}: rows of trajectory {shown(found)} are where trajectories.parquet has trajectory "
                 f"{shown(name)}; {UNSORTED}"
             )
 
@@ -300,7 +300,7 @@ def opened(folder: str | Place, streaming: bool | None = None, *, missing: Missi
     is_parquet = not isinstance(folder, Path) or (folder / MANIFEST).is_file()
     if streaming and not is_parquet:
         raise LogError(
-            f"{folder}: only folders of Parquet files are read in passes; make one of it: halfseen convert {folder} "
+            f"{folder}: only folders of Parquet files are read in passes; convert it: halfseen convert {folder} "
             "--out FOLDER"
         )
     if streaming is None:

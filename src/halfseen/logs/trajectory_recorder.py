@@ -122,7 +122,9 @@ class TrajectoryRecorder:
         state, recorded = self._running(), self._journal.known
         where = self._where(state.stage + 1)
         if state.is_in_stage:
-            raise LogError(f"{self._where(state.stage)}: it is in progress; complete_stage() it before the next begins")
+            raise LogError(
+                f"{self._where(state.stage)}: it is in progress; call complete_stage() before the next begins"
+            )
         schema = recorded.schema if state.stage else self._trajectory_schema
         chosen = {"robot": robot, "action": action, "object": object, "probability": probability}
         chosen |= {STEPPED_BACK: stepped_back}
@@ -181,7 +183,7 @@ class TrajectoryRecorder:
             raise LogError(f"{where}: own_rewards is {own_rewards!r}; give a list with the reward of each robot")
         if known not in (None, len(own_rewards)):
             raise LogError(
-                f"{where}: own_rewards has {len(own_rewards)} numbers, and the stages before it have {known}; give one "
+                f"{where}: own_rewards has {len(own_rewards)} numbers, but the stages before it have {known}; give one "
                 "for each robot, in every stage or in none"
             )
         return [checked_number(each, f"{robot}_reward", where, remedy) for robot, each in enumerate(own_rewards)]
@@ -210,12 +212,14 @@ class TrajectoryRecorder:
         self._check_cause(cause)
         where = self._where(state.stage)
         if not (state.events and self._journal.known.schema.has_robot):
-            raise LogError(f"{where}: no robot has decided yet, so none drops out; begin_stage() with its robot first")
+            raise LogError(
+                f"{where}: no robot has decided yet, so none can drop out; begin_stage() with its robot first"
+            )
         number = robot.item() if isinstance(robot, np.generic) else robot
         if not isinstance(number, int) or isinstance(number, bool) or number < 0:
-            raise LogError(f"{where}: robot {shown(number)} is no number of one; give 0, 1, …")
+            raise LogError(f"{where}: robot {shown(number)} is not a robot's number; give 0, 1, …")
         if any(event["event"] == "out" and event["robot"] == number for event in state.events):
-            raise LogError(f"{where}: robot {number} has dropped out before; once is for good")
+            raise LogError(f"{where}: robot {number} has already dropped out, which is final")
         at_s = state.time_of(elapsed_s, where)
         event = {"event": "out", "at_s": at_s, "robot": number, "cause": cause}
         self._write(event, self._journal.known, state.after(at_s, elapsed_s), is_news=True)
@@ -306,12 +310,13 @@ class TrajectoryRecorder:
     def _check_cause(self, cause: Any) -> None:
         if not isinstance(cause, str) or not cause.strip():
             raise LogError(
-                f"trajectory {shown(self.name)}: cause {cause!r} is no cause; say {', '.join(CAUSES)}, or why"
+                f"trajectory {shown(self.name)}: cause {cause!r} is not a cause; give {', '.join(CAUSES)}, or why"
             )
         checked_text(cause, f"trajectory {shown(self.name)}", "cause")
         if cause == STILL_RUNNING:
             raise LogError(
-                f"trajectory {shown(self.name)}: {cause} marks a trajectory that goes on; say what cut this one"
+                f"trajectory {shown(self.name)}: {cause} marks a trajectory in progress; give the cause that cut "
+                "this one"
             )
 
     def _running(self) -> TrajectoryState:

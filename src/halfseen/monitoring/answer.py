@@ -144,7 +144,7 @@ CLEARLY = 2.0
 FEWEST = 200
 """Fewest trajectories to learn from again. Without change, a policy of the bin learned from 100 earns a fifth less than
 one from 500, and one from 200 a twentieth less than one from 600 (`benchmarks/relearning.py`)."""
-MEND_FIRST = "Mend what is recorded before you learn again: columns have changed, and perhaps not the cell."
+MEND_FIRST = "Fix the recording before you learn again: columns have changed, perhaps not the cell."
 OWN = 0.98
 """Share of the policy's own actions above which the log shows too little of the other actions."""
 
@@ -192,8 +192,8 @@ def relearning(num_since: int, since: str | int, needed: int | None, own: float)
     """
     there = f"{counted(num_since, 'trajectory')} since the change"
     if needed is None:
-        return f"Learning again need not pay: nothing is lost in {there}."
-    blind = "; serve with --explore first, for they show hardly any action but the policy's" if own > OWN else ""
+        return f"Learning again is not needed: nothing is lost in {there}."
+    blind = "; serve with --explore first, as they hold almost only the policy's own actions" if own > OWN else ""
     if num_since < needed:
         return f"Learning again will not pay yet: there are {there}, and about {needed:,} are needed{blind}."
     how = f"halfseen learn LOGS --out FOLDER --since {since}"

@@ -79,11 +79,11 @@ class Standing:
     def __str__(self) -> str:
         so_far = f"after {self.num} trajectories, {self.num_policy} by the policy"
         if self.low is None or self.high is None:
-            return f"{self.verdict} {so_far}: nothing is known of its gain"
+            return f"{self.verdict} {so_far}: its gain is not known yet"
         known = f"it gains {_signed(self.low)} to {_signed(self.high)} a trajectory"
         if self.verdict != "going on":
             return f"{self.verdict} {so_far}: {known}"
-        more = "nobody knows how many more would decide" if self.more is None else f"about {self.more:,} more decide"
+        more = "it is unknown how many more would decide" if self.more is None else f"about {self.more:,} more decide"
         return f"going on {so_far}: {known}; {more}"
 
 

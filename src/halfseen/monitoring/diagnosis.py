@@ -100,7 +100,7 @@ def differs(part: Stream, at: int) -> str:
     return part_words(part.kind, part.about, float(part.residuals[part.trajectory >= at].mean()))
 
 
-def part_words(what: str, action: str, mean: float, than: str = "than the log says of the same states") -> str:
+def part_words(what: str, action: str, mean: float, than: str = "than in the log in the same states") -> str:
     """Describe a mean change of an action's reward, or of the logarithm of its duration."""
     amount = f"{abs(mean):.2g}" if what == "reward" else f"{abs(np.expm1(mean)):.0%}"
     verb, time = ("brings", "") if what == "reward" else ("takes", " time")
@@ -141,7 +141,7 @@ def moved(stream: Stream, at: int) -> str:
         was = float(stream.counts @ np.arange(len(stream.counts)) / stream.counts.sum())
     than = "than in the log" if stream.is_against_log else "than before"
     if not stream.is_number:
-        return f"{stream.name} is distributed otherwise {than}"
+        return f"{stream.name} is distributed differently {than}"
     if stream.kind == "cut":
         return f"{'more' if now > was else 'fewer'} trajectories are cut {than}"
     if stream.kind == "input":
@@ -171,7 +171,7 @@ def rewards_in_another_unit(brings: Any, logs: Logs) -> tuple[str, ...]:
     usual, most = float(totals.median()), float(np.abs(brings).max())
     if most == 0.0 or usual <= BEYOND * most:
         return ()
-    return (f"rewards are {OTHER_UNIT} unit: a trajectory brings about {usual:.3g}, and {most:.3g} was the most",)
+    return (f"rewards are {OTHER_UNIT} unit: a trajectory brings about {usual:.3g}, but at most {most:.3g} in the log",)
 
 
 def input_words(promise: Any, logs: Logs, since: int) -> tuple[str, ...]:
@@ -260,9 +260,7 @@ def _swapped_moves(promise: Any, looks_at: Covariates, logs: Logs) -> tuple[str,
     other = [name for name, moved in has_moved.items() if name not in unmoved and not moved]
     if len(one) != 1 or len(other) != 1:
         return ()
-    return (
-        f"covariates {one[0]} and {other[0]} {SWAPPED}: within a trajectory the former changes now, not the latter",
-    )
+    return (f"covariates {one[0]} and {other[0]} {SWAPPED}: within a trajectory the first changes now, not the second",)
 
 
 def _swapped(promise: Any, looks_at: Covariates, logs: Logs) -> tuple[str, ...]:

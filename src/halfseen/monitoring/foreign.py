@@ -56,7 +56,7 @@ def refuse_unknown_alone(policy: Any, logs: Logs) -> None:
 def _not_known(action: str, count: int, num: int, policy: Any) -> str:
     known = ", ".join(map(str, policy.actions))
     are, meant = "are" if count > 1 else "is", _other_spelling(action.strip("'"), policy.actions)
-    return f"{count:,} of {num:,} actions {are} {action}, which is none of the policy's ({known}).{meant}"
+    return f"{count:,} of {num:,} actions {are} {action}, which the policy does not know ({known}).{meant}"
 
 
 def _other_spelling(name: str, known: Collection[Any]) -> str:
@@ -99,8 +99,8 @@ def not_its_own(policy: Any, looks_at: Covariates, logs: Logs, is_of_policy: Boo
     if is_other.mean() <= HALF + ERRORS * 0.5 / np.sqrt(len(stages)):
         return ""
     return (
-        f"Only {is_own.mean():.0%} of the actions are the policy's: this log is not of its service, and is not judged "
-        "by its promise"
+        f"Only {is_own.mean():.0%} of the actions are the policy's: this log is not from its service, and is not "
+        "compared with its promise"
     )
 
 
@@ -113,9 +113,8 @@ def unknown_categories(looks_at: Covariates, logs: Logs) -> tuple[str, ...]:
         values: Any = logs.stages[name].astype(object).map(str)
         counts = values[~values.isin(looks_at.categories[name])].value_counts()
         found += [
-            f"Covariate {name} is {category!r} in {counted(int(count), 'stage')}, which the log that was learned from "
-            "never showed: there the policy steps back."
-            f"{_other_spelling(category, looks_at.categories[name])}"
+            f"Covariate {name} is {category!r} in {counted(int(count), 'stage')}, which never occurs in the training "
+            f"log: there the rule decides.{_other_spelling(category, looks_at.categories[name])}"
             for category, count in counts.items()
         ]
     return tuple(found)

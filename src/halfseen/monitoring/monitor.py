@@ -127,7 +127,7 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     """Bet on a log, with the parameters and errors of `monitored`."""
     promise = stored.record.get("promise")
     if promise is None:
-        raise PolicyError("its folder promises nothing, as those of halfseen 0.1; learn the policy again")
+        raise PolicyError("its folder holds no promise, as it is from halfseen 0.1; learn the policy again")
     has_ended = np.asarray(logs.trajectories["cause"] != RUNNING)
     logs = logs if has_ended.all() else logs.select(logs.trajectory_ids[has_ended])
     notes: list[str] = []
@@ -139,9 +139,9 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     inputs, parts = own_alone(inputs, is_own), own_alone(parts, is_own)
     payoffs = {"inputs": _ranked(inputs, logs, seed), "parts": _ranked(parts, logs, seed + 1)}
     if not isinstance(policy, NamedActionPolicy):
-        notes.append("the policy is of tables: nothing is watched but what it earns, and cuts")
+        notes.append("the policy is for tables: only what it earns and cuts are monitored")
     elif not promise.get("parts"):
-        notes.append("the folder keeps no rewards and durations by action, so these are not watched; learn it again")
+        notes.append("the folder keeps no rewards and durations by action, so these are not monitored; learn it again")
     else:
         against, num = parts[:-1], logs.num_trajectories
         against += swap_streams(parts, promise["parts"], looks_at, logs, promise["stages"])
@@ -258,7 +258,7 @@ def _own_outcomes(
     """The result of `_outcomes`, with NaN for the rule's trajectories."""
     if is_own.all():
         return _outcomes(stored, logs, promise, notes)
-    notes.append(f"{counted(int((~is_own).sum()), 'trajectory')} of the rule say nothing of what the policy earns")
+    notes.append(f"{counted(int((~is_own).sum()), 'trajectory')} of the rule do not count in what the policy earns")
     own = _outcomes(stored, logs.select(logs.trajectory_ids[is_own]), promise, notes) if is_own.any() else None
     if own is None:
         return None
@@ -269,22 +269,24 @@ def _own_outcomes(
 def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) -> Outcomes | None:
     """Outcome of each trajectory; None, with a note, if the earnings are not the policy's."""
     if promise.get("brings") is None:
-        notes.append("the folder lacks what a trajectory can bring, so its promise is not watched; learn it again")
+        notes.append("the folder lacks what a trajectory can bring, so its promise is not monitored; learn it again")
         return None
     if promise.get("value") is None:
         notes.append("nothing was promised: it was learned without a verdict, so what it earns is only shown")
     own = _own_share(stored, logs)
     if own < OWN:
-        notes.append(f"{own:.0%} of the actions are the policy's, so what is earned here says nothing of its promise")
+        notes.append(f"{own:.0%} of the actions are the policy's, so what is earned here does not test its promise")
         return None
     if not logs.is_finished.any():
-        notes.append("no trajectory has finished, so nothing is known of what it earns")
+        notes.append("no trajectory has finished, so what it earns is unknown")
     low, high = promise["brings"]
     totals: Any = logs.stages.groupby("trajectory", sort=False)["reward"].sum().reindex(logs.trajectory_ids)
     total = totals.to_numpy(dtype=np.float64)
     num_more = int(((total > high) & logs.is_finished).sum())
     if num_more:
-        notes.append(f"{counted(num_more, 'trajectory')} brought more than any in the log could, and count as {high:g}")
+        notes.append(
+            f"{counted(num_more, 'trajectory')} brought more than is possible by the log, and count as {high:g}"
+        )
     has_actions = isinstance(stored.policy, NamedActionPolicy) and logs.has_all_actions
     plain = in_known_categories(looks_at_of(stored.policy), logs)
     known = task_of(stored.policy, plain).censoring_covariates(plain, None, False) if has_actions else None

@@ -53,10 +53,10 @@ class BettingBounds:
     def __init__(self, low: float, high: float, alpha: float = 0.05, num_points: int = 401) -> None:
         if not (np.isfinite([low, high]).all() and low < high):
             raise ArgumentError(
-                f"low is {low} and high {high}; the mean lies between two finite numbers, the lower first"
+                f"low is {low} and high {high}; give two finite numbers around the mean, the lower first"
             )
         if not 0.0 < alpha < 1.0:
-            raise ArgumentError(f"alpha is {alpha}; it lies between 0 and 1")
+            raise ArgumentError(f"alpha is {alpha}; give a number between 0 and 1")
         self.low, self.high = float(low), float(high)
         self.lower, self.upper = self.low, self.high
         self.grid = np.linspace(self.low, self.high, num_points)
@@ -123,7 +123,7 @@ class BettingBounds:
         if wrong.any():
             at = int(np.argmax(wrong))
             raise ArgumentError(
-                f"outcome {self.num + at + 1} is {x[at]} in a range of {below[at]} to {above[at]}, and the mean lies "
+                f"outcome {self.num + at + 1} is {x[at]} in a range of {below[at]} to {above[at]}, but the mean is "
                 f"within {self.low} to {self.high}; give a range that holds both"
             )
 
@@ -172,7 +172,9 @@ class CensoredOutcomes:
         largest_weight: float = LARGEST_WEIGHT,
     ) -> None:
         if not low < high:
-            raise ArgumentError(f"low is {low} and high {high}; rewards of a trajectory lie between two numbers")
+            raise ArgumentError(
+                f"low is {low} and high {high}; give two numbers around the rewards of a trajectory, the lower first"
+            )
         chosen = CensoringSpec() if censoring is None else censoring
         self.low, self.high, self.largest_weight = float(low), float(high), float(largest_weight)
         self.censoring = CensoringSpec(chosen.model, chosen.by, chosen.covariates, self.largest_weight)
@@ -206,8 +208,8 @@ class CensoredOutcomes:
         if wrong.any():
             at = int(np.argmax(wrong))
             raise ArgumentError(
-                f"trajectory {clocks.trajectory_ids[at]}: its rewards add up to {total[at]:g}, outside of {self.low:g} "
-                f"to {self.high:g}; say what a trajectory can bring"
+                f"trajectory {clocks.trajectory_ids[at]}: its rewards add up to {total[at]:g}, outside {self.low:g} "
+                f"to {self.high:g}; give bounds that contain what a trajectory can bring"
             )
         begun = self.num
         self._totals = np.append(self._totals, np.where(clocks.is_finished, total, 0.0))

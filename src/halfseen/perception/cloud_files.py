@@ -37,8 +37,8 @@ def read_npz(path: Path) -> Cloud:
         missing = {"depth_m", "K"} - set(there)
         if missing:
             raise CloudError(
-                f"{path}: has {sorted(there)[:20]} and lacks {sorted(missing)}; "
-                "store the depth image as depth_m [m] and the pinhole matrix as K [px]"
+                f"{path}: has {sorted(there)[:20]}, but lacks {sorted(missing)}; store the depth image as depth_m "
+                "[m] and the pinhole matrix as K [px]"
             )
         arrays = read_arrays(path, ("depth_m", "K", "rgb"), CLOUD)
     except ValueError as error:
@@ -112,7 +112,7 @@ def _camera(
     eye, axes = (np.array([element[0][name] for name in each], dtype=np.float64) for each in (EYE, AXES))
     if not np.isfinite([*eye, *axes]).all() or not _is_rotation(axes.reshape(3, 3)):
         raise CloudError(
-            f"{path}: its camera stands at {eye.tolist()} with axes {axes.tolist()}; give a place [m] and the rows of "
+            f"{path}: its camera is at {eye.tolist()} with axes {axes.tolist()}; give a position [m] and the rows of "
             "a rotation, or leave it out"
         )
     left, _, right = np.linalg.svd(axes.reshape(3, 3))
@@ -133,7 +133,7 @@ def _check_counts(content: bytes, path: Path) -> None:
         count = rest.rpartition(" ")[2]
         if word == "element" and count.isascii() and count.isdigit() and int(count[:18]) > len(content):
             raise CloudError(
-                f"{path}: {rest.strip()[:60]} are announced, and the file has {len(content)} bytes; it was cut short: "
+                f"{path}: {rest.strip()[:60]} are announced, but the file has {len(content)} bytes; it was cut short: "
                 "export it again"
             )
         if word == "element" and rest.startswith("vertex ") and count.isascii() and count.isdigit():
@@ -146,7 +146,7 @@ def _colours(vertex: Shaped[np.ndarray, " n"], path: Path) -> Colours | None:
     kinds = [vertex.dtype[name] for name in COLOURS]
     if any(kind != np.uint8 for kind in kinds):
         raise CloudError(
-            f"{path}: red, green and blue are {', '.join(map(str, kinds))}; a colour is three uchar from 0 to 255: "
+            f"{path}: red, green and blue are {', '.join(map(str, kinds))}; a colour needs three uchar from 0 to 255: "
             "export it so, or leave it out"
         )
     return np.stack([vertex[name] for name in COLOURS], axis=1)
@@ -195,5 +195,8 @@ def read_cloud(path: str | os.PathLike[str]) -> Cloud:
             f"{path}: not a whole {path.suffix.lower()} file: {reason_of(error)}; record or export it again"
         ) from error
     if not cloud.num_returns:
-        raise CloudError(f"{path}: not one of {len(cloud.points_m)} points is finite; nothing returned to the camera")
+        raise CloudError(
+            f"{path}: not one of {len(cloud.points_m)} points is finite: the camera received no returns; check its "
+            "range and exposure"
+        )
     return cloud

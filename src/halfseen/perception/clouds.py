@@ -110,7 +110,7 @@ class Cloud:
         if self.shape is not None and self.shape[0] * self.shape[1] != len(points):
             raise CloudError(
                 f"{self.name}: {len(points)} points do not fill {self.shape[0]} rows of {self.shape[1]}; "
-                "mend WIDTH and HEIGHT or give shape=None"
+                "fix WIDTH and HEIGHT, or give shape=None"
             )
         if not np.isfinite(eye).all():
             raise CloudError(f"{self.name}: the viewpoint is {eye.tolist()}; it must be finite, in metres")
@@ -193,13 +193,13 @@ def _check_metres(from_eye: Points, name: str) -> None:
     median, farthest = float(np.median(distance)), float(distance.max())
     if median > LARGEST_MEDIAN_DISTANCE_M:
         raise CloudError(
-            f"{name}: half of the points are {median:.4g} m from the camera or farther, and a table is within "
+            f"{name}: half of the points are {median:.4g} m or more from the camera, but a table is within "
             f"{LARGEST_MEDIAN_DISTANCE_M:g} m; distances are in metres: divide millimetres by 1000"
         )
     if farthest > LARGEST_DISTANCE_M:
         raise CloudError(
-            f"{name}: a point is {farthest:.4g} m from the camera, and no depth camera sees farther than "
-            f"{LARGEST_DISTANCE_M:g} m; leave out what did not return: 0 or NaN"
+            f"{name}: a point is {farthest:.4g} m from the camera, but depth cameras see at most "
+            f"{LARGEST_DISTANCE_M:g} m; mark missing returns by 0 or NaN"
         )
 
 
@@ -220,8 +220,8 @@ def check_num_points(num_points: int, name: str) -> None:
     """
     if num_points > MOST_POINTS:
         raise CloudError(
-            f"{name}: it has {num_points:,} points, and no depth camera returns more than {MOST_POINTS:,} at once; "
-            "thin it, or cut out the table"
+            f"{name}: it has {num_points:,} points, but depth cameras return at most {MOST_POINTS:,} at once; thin "
+            "it, or cut out the table"
         )
 
 

@@ -184,7 +184,7 @@ def viewpoint_of(numbers: list[float], name: str) -> Viewpoint:
     if length < SMALLEST_QUATERNION:
         raise CloudError(
             f"{name}: VIEWPOINT is {' '.join(f'{number:g}' for number in numbers)!r}; give x, y and z [m] and a "
-            "quaternion w, x, y and z that is not of zeros, or leave it out"
+            "quaternion w, x, y and z that is not all zeros, or leave it out"
         )
     return Viewpoint(place, Turn.from_quat(quaternion, scalar_first=True).as_matrix())
 
@@ -239,7 +239,7 @@ def camera_of(
     if len(found) != 1:
         raise CloudError(
             f"{name}: its points may be in {'either' if found else 'neither'} frame, the camera's own or that of its "
-            f"viewpoint; say which by a comment in its header: {FRAME_COMMENT} {CAMERA}, or {FRAME_COMMENT} {VIEWPOINT}"
+            f"viewpoint; name it in a comment of the header: {FRAME_COMMENT} {CAMERA}, or {FRAME_COMMENT} {VIEWPOINT}"
         )
     return found[0]
 

@@ -124,7 +124,7 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
     """
     num_sheets = int(sheets.max()) + 1
     if num_sheets > MOST_PIECES:
-        raise ValueError(f"they fall into {num_sheets} pieces, and a table of things into {MOST_PIECES} at most")
+        raise ValueError(f"they fall into {num_sheets} pieces, but a table of objects into {MOST_PIECES} at most")
     sheets, pieces = _pieces(sheets, plane, image)
     pieces = _merged(pieces, sheets, plane, image)
     of_sheet = pixels_of(sheets)
@@ -216,7 +216,7 @@ def _merged(pieces: list[_Piece], sheets: Labels, plane: Plane, image: RangeImag
         for small, joint, is_sure in _candidates(pieces[i], others, MOST_JOINT_FITS - num_fits):
             num_fits += joint is not None and not is_sure
             if num_fits > MOST_JOINT_FITS:
-                raise ValueError(f"they fall into {len(pieces)} pieces, of which too many might belong together")
+                raise ValueError(f"they fall into {len(pieces)} pieces, too many of which may belong together")
             if joint is not None and (is_sure or _is_one(pieces[i], small, joint, sheets, plane, image)):
                 pieces = [joint, *(piece for piece in pieces if piece not in (pieces[i], small))]
                 pieces.sort(key=lambda piece: -len(piece.points_m))

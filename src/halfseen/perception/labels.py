@@ -268,13 +268,13 @@ def read_labels(path: str | os.PathLike[str], num_objects: int) -> tuple[Label, 
         where = f"{path}: row {number}"
         which = _object(entry, num_objects, where)
         if which in labels:
-            raise ArgumentError(f"{where}: object {which} is labelled before; give one row an object")
+            raise ArgumentError(f"{where}: object {which} has a label already; give one row per object")
         labels[which] = Label(_is_dirty(entry, where), _share(entry, where))
     missing = [which for which in range(num_objects) if which not in labels]
     if missing:
         raise ArgumentError(
-            f"{path}: object {missing[0]} of {num_objects} has no label; give one row an object, 'unknown' where "
-            "nothing can be said"
+            f"{path}: object {missing[0]} of {num_objects} has no label; give one row per object, with 'unknown' if "
+            "its state is unclear"
         )
     return tuple(labels[which] for which in range(num_objects))
 
@@ -282,7 +282,7 @@ def read_labels(path: str | os.PathLike[str], num_objects: int) -> tuple[Label, 
 def _entries(path: Path) -> list[dict[str, Any]]:
     reader = {".csv": _csv_entries, ".json": _json_entries}.get(path.suffix.lower())
     if reader is None:
-        raise ArgumentError(f"{path}: labels are a file that ends in .csv or .json")
+        raise ArgumentError(f"{path}: labels must be a .csv or .json file")
     try:
         entries = reader(path)
     except (OSError, ValueError, RecursionError, csv.Error) as error:
@@ -290,8 +290,8 @@ def _entries(path: Path) -> list[dict[str, Any]]:
     for number, entry in enumerate(entries, start=1):
         if not {"object", "label"} <= set(entry) <= set(KEYS):
             raise ArgumentError(
-                f"{path}: row {number} has {', '.join(map(str, entry)) or 'nothing'}; it has object, label and, if "
-                "wanted, share_in_view, and nothing else"
+                f"{path}: row {number} has {', '.join(map(str, entry)) or 'nothing'}; give object, label and, "
+                "optionally, share_in_view, and nothing else"
             )
     return entries
 
@@ -309,7 +309,7 @@ def _csv_entries(path: Path) -> list[dict[str, Any]]:
 def _json_entries(path: Path) -> list[dict[str, Any]]:
     read = json_of(read_text(path))
     if not isinstance(read, list) or not all(isinstance(entry, dict) for entry in read):
-        raise ValueError("it is no list of objects with the keys object and label")
+        raise ValueError("it is not a list of objects with the keys object and label")
     return read
 
 
@@ -317,7 +317,7 @@ def _object(entry: dict[str, Any], num_objects: int, where: str) -> int:
     given = str(entry["object"])
     if not (given.isascii() and given.isdigit() and int(given) < num_objects):
         raise ArgumentError(
-            f"{where}: object is {entry['object']!r}, and the view has objects 0 to {num_objects - 1}; number them as "
+            f"{where}: object is {entry['object']!r}, but the view has objects 0 to {num_objects - 1}; number them as "
             "`halfseen look` does"
         )
     return int(given)
@@ -338,5 +338,5 @@ def _share(entry: dict[str, Any], where: str) -> float | None:
     except (TypeError, ValueError):
         share = float("nan")
     if not 0.0 <= share <= 1.0:
-        raise ArgumentError(f"{where}: share_in_view is {given!r}; it is a number from 0 to 1, or left out")
+        raise ArgumentError(f"{where}: share_in_view is {given!r}; give a number from 0 to 1, or leave it out")
     return share

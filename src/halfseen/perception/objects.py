@@ -100,7 +100,7 @@ def _check_width(image: RangeImage, on_table: Pixels) -> None:
     width_m = depth_m / float(image.intrinsics[0, 0])
     if width_m > WIDEST_PIXEL_M:
         raise CloudError(
-            f"{image.name}: its points on the table are {1000 * width_m:.0f} mm apart, and cups take "
+            f"{image.name}: its points on the table are {1000 * width_m:.0f} mm apart, but cups need "
             f"{1000 * WIDEST_PIXEL_M:.0f} mm at most; thin it less, or put the camera closer"
         )
 

@@ -66,7 +66,7 @@ def read_pcd(path: Path) -> Cloud:
         header = _header(file, path)
         names = header.get("FIELDS", "").split()
         if not {"x", "y", "z"} <= set(names):
-            raise CloudError(f"{path}: has fields {names} and needs x, y and z; export it with coordinates in metres")
+            raise CloudError(f"{path}: has fields {names}, but needs x, y and z; export it with coordinates in metres")
         num_points, width, height = (_whole(header, key, path) for key in ("POINTS", "WIDTH", "HEIGHT"))
         fields = _fields(header, num_points, path)
         check_num_points(num_points, str(path))
@@ -80,7 +80,7 @@ def read_pcd(path: Path) -> Cloud:
         points = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
     if len(points) != num_points:
         raise CloudError(
-            f"{path}: holds {len(points)} points and announces {num_points}; it was cut short: export it again"
+            f"{path}: holds {len(points)} points, but announces {num_points}; it was cut short: export it again"
         )
     colours = None
     if packed is not None:
@@ -108,19 +108,19 @@ def _header(file: BufferedReader, path: Path) -> dict[str, str]:
             return _checked_data(header, path)
         if not line:
             break
-    raise CloudError(f"{path}: has no DATA line; it is no PCD file or was cut short in the header")
+    raise CloudError(f"{path}: has no DATA line; it is not a PCD file, or its header was cut short")
 
 
 def _checked_data(header: dict[str, str], path: Path) -> dict[str, str]:
     if header["DATA"] not in KINDS_OF_DATA:
-        raise CloudError(f"{path}: DATA is {header['DATA'][:40]!r}; it is one of {', '.join(KINDS_OF_DATA)}")
+        raise CloudError(f"{path}: DATA is {header['DATA'][:40]!r}; choose among {', '.join(KINDS_OF_DATA)}")
     return header
 
 
 def _whole(header: dict[str, str], key: str, path: Path) -> int:
     digits = header.get(key, "1" if key == "HEIGHT" else "nothing")
     if not (digits.isascii() and digits.isdigit() and len(digits) < 16):
-        raise CloudError(f"{path}: {key} is {digits[:40]!r}; it is a whole number from 0 on: export it again")
+        raise CloudError(f"{path}: {key} is {digits[:40]!r}; give a whole number from 0 on: export it again")
     return int(digits)
 
 
@@ -130,7 +130,7 @@ def _fields(header: dict[str, str], num_points: int, path: Path) -> list[Field]:
     kinds, sizes, counts = (header.get(key, "").split() for key in ("TYPE", "SIZE", "COUNT"))
     counts = counts or ["1"] * len(names)
     if len(set(names) - {"_"}) < len(names) - names.count("_"):
-        raise CloudError(f"{path}: two FIELDS have one name ({header['FIELDS'][:80]}); give each its own")
+        raise CloudError(f"{path}: two FIELDS have the same name ({header['FIELDS'][:80]}); give each its own")
     if not len(names) == len(kinds) == len(sizes) == len(counts):
         raise CloudError(
             f"{path}: there are {len(names)} FIELDS, {len(sizes)} SIZE, {len(kinds)} TYPE and {len(counts)} COUNT; "
@@ -149,7 +149,7 @@ def _fields(header: dict[str, str], num_points: int, path: Path) -> list[Field]:
     at_least = {"ascii": 2 * len(names) - 1, "binary": of_point}.get(header["DATA"], 0) * num_points
     if at_least > num_bytes:
         raise CloudError(
-            f"{path}: {num_points} points are announced, which take {at_least} bytes, and the file has {num_bytes}; it "
+            f"{path}: {num_points} points are announced, which take {at_least} bytes, but the file has {num_bytes}; it "
             "was cut short: export it again"
         )
     check_unpacked(num_bytes, of_point * num_points)
@@ -190,15 +190,17 @@ def _decompressed(file: BufferedReader, num_bytes: int, path: Path) -> bytes:
     num_packed, announced = (int.from_bytes(start[k : k + 4], "little") for k in (0, 4))
     if announced != num_bytes:
         raise CloudError(
-            f"{path}: its packed points announce {announced} bytes, and its header {num_bytes}; it was cut short or "
-            "changed: export it again"
+            f"{path}: its compressed points announce {announced} bytes, but its header {num_bytes}; it was cut short "
+            "or changed: export it again"
         )
     try:
         found = lzf.decompress(file.read()[:num_packed], num_bytes)
     except ValueError:
         found = None
     if found is None or len(found) != num_bytes:
-        raise CloudError(f"{path}: its packed points do not unpack; it was cut short or changed: export it again")
+        raise CloudError(
+            f"{path}: its compressed points cannot be decompressed; it was cut short or changed: export it again"
+        )
     return found
 
 
@@ -207,7 +209,7 @@ def _packed_kind(field: Field, path: Path) -> str:
     name, kind, size, count = field
     if (size, count) != (4, 1):
         raise CloudError(
-            f"{path}: field {name} has TYPE {kind}, SIZE {size} and COUNT {count}; a colour is packed into 4 bytes, "
+            f"{path}: field {name} has TYPE {kind}, SIZE {size} and COUNT {count}; a colour takes 4 bytes, "
             "TYPE F or U, COUNT 1: export it so, or leave it out"
         )
     return kind

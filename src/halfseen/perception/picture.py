@@ -187,6 +187,6 @@ def _add_numbers(axes: "Axes", view: View, size: float, has_shares: bool) -> Non
 def _legend(view: View) -> str:
     parts = ["number: hidden share of the silhouette", "line: completed silhouette"]
     if np.any(view.hides >= SMALLEST_ARROW_SHARE):
-        parts.append("arrow: from what hides to what is hidden")
+        parts.append("arrow: from the hiding object to the hidden one")
     parts.append("white: no return")
     return "   |   ".join(parts)

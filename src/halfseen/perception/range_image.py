@@ -102,7 +102,7 @@ def range_image(cloud: Cloud, sensor: DepthSensor = XTION) -> RangeImage:
     """
     if cloud.num_returns < FEWEST_RETURNS:
         raise CloudError(
-            f"{cloud.name}: {cloud.num_returns} of {len(cloud.points_m)} points are finite and a table takes "
+            f"{cloud.name}: {cloud.num_returns} of {len(cloud.points_m)} points are finite, but a table needs "
             f"{FEWEST_RETURNS}; check the camera's range and exposure"
         )
     points = _from_eye(cloud)

@@ -145,8 +145,8 @@ def perceive(cloud: Cloud, sensor: DepthSensor = XTION) -> View:
         return _perceived(cloud, sensor)
     except (ArithmeticError, LookupError, ValueError, np.linalg.LinAlgError, QhullError) as error:
         raise CloudError(
-            f"{cloud.name}: its points make no surfaces that can be measured ({reason_of(error)}); look at the "
-            "cloud, and record it again"
+            f"{cloud.name}: its points form no measurable surfaces ({reason_of(error)}); look at the cloud, and "
+            "record it again"
         ) from error
 
 
@@ -285,8 +285,8 @@ def other_things_in_words(view: View) -> str:
     if not odd:
         return ""
     each = "; ".join(f"{seen.id} {_by(seen)}" for seen in odd)
-    them = "this is no table of cups" if len(odd) == len(view.objects) else "not all on this table are cups"
-    return f"{them}, and of other things nothing was learned: {each}"
+    them = "this is not a table of cups" if len(odd) == len(view.objects) else "not all on this table are cups"
+    return f"{them}, and nothing was learned about other objects: {each}"
 
 
 def _has_other_height(seen: SeenObject) -> bool:
@@ -305,5 +305,5 @@ def _by(seen: SeenObject) -> str:
     if _has_other_height(seen):
         return f"is {seen.height_m:.3f} m high (a cup {LOWEST_M} to {HIGHEST_M})"
     if isinstance(seen.solid, Hull):
-        return "is no vessel by its shape"
+        return "does not have the shape of a vessel"
     return f"is {_width_m(seen):.3f} m wide (a cup at most {WIDEST_M})"

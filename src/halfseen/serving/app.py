@@ -52,7 +52,7 @@ async def reloading_at_hang_up(reload: Callable[[], Awaitable[Any]]) -> AsyncIte
         try:
             await reload()
         except HalfseenError as error:
-            print(f"halfseen: {error}; the policy before goes on", file=sys.stderr)
+            print(f"halfseen: {error}; the previous policy stays in use", file=sys.stderr)
 
     def begin() -> None:
         task = loop.create_task(tell())
@@ -68,7 +68,7 @@ async def reloading_at_hang_up(reload: Callable[[], Awaitable[Any]]) -> AsyncIte
 
 async def _check_is_there(request: Request) -> None:
     if await request.is_disconnected():
-        raise Refusal(408, "the client has gone; nothing is decided")
+        raise Refusal(408, "the client has disconnected; nothing is decided")
 
 
 def app_of(
@@ -115,7 +115,7 @@ async def _running(served: Served, wire: "Wire | None") -> AsyncIterator[None]:
 
 
 async def _asked_elsewhere(wire: "Wire", served: Served, request: Request) -> None:
-    raise Refusal(409, f"decisions are asked for by the controller at {wire.url}; GET /health says how it stands")
+    raise Refusal(409, f"the controller at {wire.url} asks for decisions; GET /health gives its state")
 
 
 def _answering(answer: Callable[[Request], Awaitable[Any]]) -> Callable[[Request], Awaitable[Response]]:
@@ -132,7 +132,7 @@ def _answering(answer: Callable[[Request], Awaitable[Any]]) -> Callable[[Request
         except Exception as error:
             # The server still answers the next request.
             traceback.print_exc(file=sys.stderr)
-            return _error(Refusal(500, f"this went wrong in halfseen itself ({type(error).__name__}); see its log"))
+            return _error(Refusal(500, f"unexpected error in halfseen ({type(error).__name__}); see its log"))
 
     return respond
 
@@ -206,7 +206,7 @@ async def _object(request: Request) -> dict[str, Any]:
     try:
         given = json_of(await request.body())
     except ValueError as error:
-        raise Refusal(400, f"the request is no JSON ({str(error)[:100]})") from error
+        raise Refusal(400, f"the request is not valid JSON ({str(error)[:100]})") from error
     if not isinstance(given, dict):
         raise Refusal(422, f"the request is a JSON {type(given).__name__}; send one object")
     return given
@@ -236,5 +236,5 @@ async def _refused(refusal: Refusal, scope: Any, receive: Any, send: Any) -> Non
 
 async def _no_address(request: Request, error: Exception) -> Response:
     status = error.status_code if isinstance(error, HTTPException) else 500
-    trouble = "there is nothing at this address" if status == 404 else f"{request.method} is not answered here"
-    return _error(Refusal(status, f"{request.url.path[:80]}: {trouble}; /api lists what there is"))
+    trouble = "this address does not exist" if status == 404 else f"{request.method} is not answered here"
+    return _error(Refusal(status, f"{request.url.path[:80]}: {trouble}; /api lists the addresses"))

@@ -161,5 +161,5 @@ def asked(decide: Callable[[], Decision], stage: int, horizon: int) -> Decision 
         traceback.print_exc(file=sys.stderr)
         return SteppedBack("failed", f"the policy fails ({type(error).__name__}: {error})")
     if decision.q_values and decision.q_values.get(str(decision.action)) is None:
-        return SteppedBack("failed", f"the policy fails (Q of {decision.action} is no number)")
+        return SteppedBack("failed", f"the policy fails (Q of {decision.action} is not a number)")
     return decision

@@ -77,7 +77,7 @@ class Bounded:
                 async with asyncio.timeout(self.slowest_s):
                     body = await self._whole(receive)
             except TimeoutError as error:
-                late = f"the request did not come whole within {self.slowest_s:g} s; send it at once"
+                late = f"the request was not complete within {self.slowest_s:g} s; send it at once"
                 raise Refusal(408, late) from error
         except Refusal as refusal:
             await self.refuse(refusal, scope, receive, send)
@@ -89,9 +89,9 @@ class Bounded:
         if self.token is None:
             name = headers.get(b"host", b"").decode("latin-1")
             if (name if name.endswith("]") else name.rpartition(":")[0] or name) not in OF_THIS_MACHINE:
-                raise Refusal(403, f"host is {name!r}; this server is asked as {' or '.join(OF_THIS_MACHINE)}")
+                raise Refusal(403, f"host is {name!r}; this server answers only as {' or '.join(OF_THIS_MACHINE)}")
         elif not hmac.compare_digest(_token_in(method, headers.get(b"authorization", b"")), self.token.encode()):
-            raise Refusal(401, "the token is missing or another; send the header Authorization: Bearer TOKEN")
+            raise Refusal(401, "the token is missing or wrong; send the header Authorization: Bearer TOKEN")
 
     def _check_stated_size(self, headers: dict[bytes, bytes]) -> None:
         stated = headers.get(b"content-length", b"0")
@@ -153,7 +153,7 @@ async def cloud_in(request: Request) -> AsyncIterator[Cloud]:
         try:
             form = await kept.enter_async_context(request.form(max_files=2, max_fields=1, max_part_size=1 << 10))
         except HTTPException as error:
-            trouble = f"the request is no multipart form ({error.detail}); give {', '.join(names)}"
+            trouble = f"the request is not a multipart form ({error.detail}); give {', '.join(names)}"
             raise Refusal(400, trouble) from error
         folder = Path(kept.enter_context(TemporaryDirectory()))
         given = {name: await _kept(name, form[name], folder) for name in names if name in form}
@@ -161,7 +161,7 @@ async def cloud_in(request: Request) -> AsyncIterator[Cloud]:
         parts = [name for name, _ in form.multi_items()]
         for name in parts:
             if name not in names or parts.count(name) > 1:
-                trouble = "is given twice" if name in names else "is none of its parts"
+                trouble = "is given twice" if name in names else "is not one of its parts"
                 raise Refusal(422, f"the request: {name!r:.40} {trouble}; give {', '.join(names)}")
         yield found
 
@@ -244,7 +244,8 @@ def bound_socket(host: str, port: int) -> socket.socket:
             return taken
     except OSError as error:
         raise ArgumentError(
-            f"--host {host} --port {port}: nobody can serve there ({error.strerror}); choose another port, or 0 for any"
+            f"--host {host} --port {port}: the server cannot listen there ({error.strerror}); choose another port, "
+            "or 0 for any"
         ) from error
 
 

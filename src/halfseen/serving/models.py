@@ -20,19 +20,23 @@ def _is(description: str) -> Meta:
 
 File = Annotated[Path, Meta(extra_json_schema={"type": "string", "contentMediaType": OCTETS})]
 Stage = Annotated[int, Meta(ge=1, description="The stage to decide, a whole number from 1.")]
-Clock = Annotated[float | None, _is("Seconds since the trajectory began, always or never; if not, the server's clock.")]
+Clock = Annotated[
+    float | None, _is("Seconds since the trajectory began, always or never; by default, the server's clock.")
+]
 Held = _is(
-    "True or false, of clouds: whether the WASH or LIFT held. Without it, a WASH did if its object is gone, and a LIFT "
-    "is not counted."
+    "True or false, with clouds only: whether the WASH or LIFT succeeded. Without it, a WASH succeeded if its object "
+    "is gone, and a LIFT is not counted."
 )
-Action = Annotated[int | str, _is("What is done, by name; on a table such as LIFT 2.")]
-Target = Annotated[Any, _is("Of tables: what is acted on, as the log names it; null if nothing is.")]
-Trajectory = Annotated[int | str, _is("As which it is recorded.")]
+Action = Annotated[int | str, _is("The action by name; on a table, such as LIFT 2.")]
+Target = Annotated[Any, _is("On tables: the object acted on, as the log names it; null if none.")]
+Trajectory = Annotated[int | str, _is("Name under which it is recorded.")]
 Why = Annotated[
     Literal["out-of-range", "beyond-horizon", "failed", "late"],
     _is("Why the rule decided in the policy's place; only where it did."),
 ]
-Arm = Annotated[Literal["policy", "rule"], _is("Of a comparison: to which the trajectory was dealt.")]
+Arm = Annotated[
+    Literal["policy", "rule"], _is("In a comparison: whether the trajectory was assigned to the policy or the rule.")
+]
 Amount = float | None
 Digest = Annotated[str, _is("Digest of the policy that decides.")]
 
@@ -59,9 +63,7 @@ class Cloud(Struct):
     """A look at a table."""
 
     cloud: Annotated[File, _is("A file of what the camera sees: .pcd, .ply or .npz.")]
-    labels: Annotated[File, _is("A .csv or .json of what looks dirty, as for halfseen look --labels.")] | UnsetType = (
-        UNSET
-    )
+    labels: Annotated[File, _is("A .csv or .json of labels, as for halfseen look --labels.")] | UnsetType = UNSET
     stage: Stage | UnsetType = UNSET
 
 
@@ -93,15 +95,18 @@ class Decided(Struct, frozen=True, kw_only=True):
     is_explored: Annotated[bool, _is("Whether it was drawn to explore.")]
     stage: Stage
     horizon: Annotated[int, _is("Stages that the policy decides.")]
-    q_values: Annotated[dict[str, float | None], _is("What the policy goes by [reward]; null if not possible.")]
+    q_values: Annotated[
+        dict[str, float | None],
+        _is("Value by which the policy chooses [reward]; null for actions that are not possible."),
+    ]
     reason: Annotated[str, _is("Why the policy takes it, in one sentence.")]
-    warnings: Annotated[list[str], _is("What is doubtful, the gravest first.")]
+    warnings: Annotated[list[str], _is("Doubts about the decision, the gravest first.")]
     intervals: Annotated[dict[str, tuple[float, float]], _is("95 % interval of Q [reward], if known.")]
     chance_best: Annotated[dict[str, float], _is("Probability that no action is better, if known.")]
-    filled: Annotated[list[str], _is("Covariates that were missing, and are filled in; warnings say by what.")]
+    filled: Annotated[list[str], _is("Covariates that were missing and are filled in; warnings give the values.")]
     policy: Digest
-    seen: Annotated[str, _is("Of clouds: what labels say.")] | UnsetType = UNSET
-    verb: Annotated[str, _is("Of tables: the action without its object.")] | UnsetType = UNSET
+    seen: Annotated[str, _is("With clouds: the labels.")] | UnsetType = UNSET
+    verb: Annotated[str, _is("On tables: the action without its object.")] | UnsetType = UNSET
     object: Target | UnsetType = UNSET
     trajectory: Trajectory | UnsetType = UNSET
     stepped_back: Why | UnsetType = UNSET
@@ -111,7 +116,7 @@ class Decided(Struct, frozen=True, kw_only=True):
 class Progress(Struct, frozen=True):
     """Where recording stands; where it waits for a reward, for what: the answer may have been lost."""
 
-    trajectory: Annotated[int | str | None, _is("In progress; null if none is.")]
+    trajectory: Annotated[int | str | None, _is("Trajectory in progress; null if none.")]
     stage: Annotated[int, _is("Its last, from 1; 0 before the first.")]
     waits_for: Literal["decision", "reward"]
     action: Action | UnsetType = UNSET
@@ -138,24 +143,22 @@ class StepBacks(Struct, frozen=True):
     decisions: Annotated[int, _is("All of them.")]
     stepped_back: Annotated[int, _is("By the rule.")]
     by: Annotated[dict[str, int], _is("The same by its cause.")]
-    last: Annotated[str | None, _is("What was the matter the last time.")]
+    last: Annotated[str | None, _is("Reason the last time.")]
 
 
 class Compared(Struct, frozen=True, kw_only=True):
     """How the comparison of the policy with the rule of today stands."""
 
-    sentence: Annotated[str, _is("All of it in words.")]
+    sentence: Annotated[str, _is("Summary in words.")]
     verdict: Annotated[Literal["promoted", "stopped", "going on"], _is("Of the policy.")]
-    share: Annotated[float, _is("Chance with which the next trajectory is dealt to the policy.")]
-    num: Annotated[int, _is("Trajectories that were dealt.")]
+    share: Annotated[float, _is("Probability with which the next trajectory is assigned to the policy.")]
+    num: Annotated[int, _is("Trajectories that were assigned.")]
     num_policy: Annotated[int, _is("Of these to the policy.")]
-    gain: Annotated[Amount, _is("What the policy earns more a trajectory [reward]; null if unknown.")]
-    low: Annotated[
-        Amount, _is("Its lower bound, meant to be wrong, at any time, with chance 0.025 at most; null if none.")
-    ]
+    gain: Annotated[Amount, _is("Estimated gain of the policy per trajectory [reward]; null if unknown.")]
+    low: Annotated[Amount, _is("Its lower bound, at any time wrong with probability 0.025 at most; null if none.")]
     high: Annotated[Amount, _is("Its upper bound, likewise.")]
-    worst_loss: Annotated[Amount, _is("What the policy lost in all at most, wrong with chance 0.05 at most.")]
-    more: Annotated[int | None, _is("About how many trajectories more decide; null if nobody knows.")]
+    worst_loss: Annotated[Amount, _is("Upper bound on the policy's total loss, wrong with probability 0.05 at most.")]
+    more: Annotated[int | None, _is("About how many more trajectories would decide; null if unknown.")]
 
 
 class Recorded(Struct, frozen=True, kw_only=True):
@@ -165,7 +168,7 @@ class Recorded(Struct, frozen=True, kw_only=True):
     arm: Arm | UnsetType = UNSET
     stages: Annotated[int, _is("That it began.")]
     stepped_back: Annotated[int, _is("Of these, where the rule decided in the policy's place.")]
-    reward: Annotated[float, _is("That it brought while it was seen.")]
+    reward: Annotated[float, _is("Reward while it was observed.")]
     ending: Literal["finished", "cut"]
     cause: Annotated[str | None, _is("What cut it.")]
 
@@ -173,18 +176,18 @@ class Recorded(Struct, frozen=True, kw_only=True):
 class Cell(Struct, frozen=True, kw_only=True):
     """All that the page of the running cell shows but its figures."""
 
-    sentence: Annotated[str, _is("What matters most, in words.")]
-    revision: Annotated[str, _is("Another whenever anything but an age is.")]
+    sentence: Annotated[str, _is("The main facts in words.")]
+    revision: Annotated[str, _is("Changes whenever anything except an age changes.")]
     policy: Digest
     decision: Annotated[Decided | None, _is("The last one; null before the first.")]
-    seen: Annotated[dict[str, Any], _is("Covariates that it was about.")]
+    seen: Annotated[dict[str, Any], _is("Covariates of the decision.")]
     rule: StepBacks
     recording: Progress | UnsetType = UNSET
     comparison: Compared | UnsetType = UNSET
     trajectories: Annotated[list[Recorded], _is("The last ones that ended since the server began, the newest first.")]
     monitor: Annotated[
         dict[str, Any] | None,
-        _is("What halfseen monitor said last of the log, age_s ago [s]; null if nothing yet."),
+        _is("Last result of halfseen monitor, age_s ago [s]; null before the first."),
     ]
 
 
@@ -244,16 +247,16 @@ def model_of(given: Mapping[str, Any], kind: type[Of], *, is_text: bool = False)
     except msgspec.ValidationError as error:
         raise Refusal(422, f"{BODY}: {_trouble(given, kind, str(error))}") from error
     except UnicodeEncodeError as error:
-        raise Refusal(422, f"{BODY}: {error.object!r:.40} is no Unicode text; decode it") from error
+        raise Refusal(422, f"{BODY}: {error.object!r:.40} is not Unicode text; decode it") from error
 
 
 def _trouble(given: Mapping[str, Any], kind: type[Struct], error: str) -> str:
     """Error message with the value and the remedy, instead of the message of msgspec."""
     fields = msgspec.json.schema_components([kind])[1][kind.__name__]["properties"]
     if at := re.match("Object contains unknown field `(.*)`$", error, re.DOTALL):
-        return f"nothing is known of {at[1][:40]!r}; give {', '.join(fields)}"
+        return f"unknown field {at[1][:40]!r}; give {', '.join(fields)}"
     if at := re.search(r"(?: - at `\$\.|missing required field `)(\w+)[^`]*`$", error):
-        wrong = f"{at[1]} is {given[at[1]]!r:.40}" if at[1] in given else f"there is no {at[1]!r}"
+        wrong = f"{at[1]} is {given[at[1]]!r:.40}" if at[1] in given else f"missing field {at[1]!r}"
         wanted = fields[at[1]]["description"]
         return f"{wrong}; give {wanted[0].lower()}{wanted[1:]}"
     return error

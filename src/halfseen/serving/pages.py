@@ -46,11 +46,11 @@ def described(service: InService, *, is_recording: bool, is_comparing: bool = Fa
     asked = [
         ("/decide", "post", "Decide what to do now, and say why.", models.Decided, looks),
         ("/reward", "post", "Complete the stage in progress.", models.Progress, {JSON: models.Reward}),
-        ("/end", "post", "End the trajectory in progress; what was cut has a cause.", models.Ended, {JSON: models.End}),
+        ("/end", "post", "End the trajectory in progress; a cut one has a cause.", models.Ended, {JSON: models.End}),
         ("/reload", "post", "Read the policy's folder again.", models.Reloaded, {}),
-        ("/health", "get", "Say that it answers, and what.", models.Health, {}),
-        ("/state", "get", "Say all that the page of the running cell shows.", models.Cell, {}),
-        ("/comparison", "get", "Say how the policy stands against the rule.", models.Compared, {}),
+        ("/health", "get", "Report that it runs, and its state.", models.Health, {}),
+        ("/state", "get", "Return everything the page of the running cell shows.", models.Cell, {}),
+        ("/comparison", "get", "Report how the policy compares with the rule.", models.Compared, {}),
     ]
     others = () if is_recording else ("/reward", "/end")
     others += () if is_comparing else ("/comparison",)
@@ -100,7 +100,7 @@ def _covariates(service: InService, state: Schema) -> Schema:
 
 def _covariate(categories: Any, seen: Any, may_lack: bool) -> Schema:
     if categories is not None:
-        listed = f"{' or '.join(categories)}; of any other the rule decides."
+        listed = f"{' or '.join(categories)}; for any other the rule decides."
         return {"type": ["string", "null"] if may_lack else "string", "description": listed}
     known = "" if seen is None else f", in the logs {seen[0]:.3g} to {seen[1]:.3g} at the first stage"
     return {"type": ["number", "null"] if may_lack else "number", "description": f"A number{known}."}
@@ -114,7 +114,7 @@ def description_of(api: Schema) -> str:
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         f'<meta name="viewport" content="width=device-width"><style>{css}</style></head>\n'
-        f'<body><header><h1>{title}</h1><p>The same for programs: <a href="openapi.json">openapi.json</a>.</p></header>'
+        f'<body><header><h1>{title}</h1><p>For programs: <a href="openapi.json">openapi.json</a>.</p></header>'
         f"<main>{''.join(parts)}</main></body></html>\n"
     )
 
@@ -127,7 +127,7 @@ def _address(path: str, how: str, operation: Schema, schemas: Schema) -> str:
 
 def _takes(kind: str, schema: Schema) -> str:
     rows = "".join(
-        f"<dt><code>{escape(name)}</code></dt><dd>{'' if name in schema['required'] else 'If wanted: '}"
+        f"<dt><code>{escape(name)}</code></dt><dd>{'' if name in schema['required'] else 'Optional: '}"
         f"{escape(field['description'])}</dd>"
         for name, field in schema["properties"].items()
     )
@@ -183,14 +183,14 @@ def _sentence(decision: Decided | None, recording: Progress | Any, monitor: dict
     if recording.trajectory is None:
         return "No trajectory is in progress."
     if recording.waits_for == "decision":
-        return f"Trajectory {recording.trajectory}: stage {recording.stage} is done, the next decision is awaited."
+        return f"Trajectory {recording.trajectory}: stage {recording.stage} is done; waiting for the next decision."
     return f"Trajectory {recording.trajectory}, {stage}: {decision.action}, {_who(decision)}."
 
 
 def _who(decision: Decided) -> str:
     """Who decided."""
     if decision.arm == "rule":
-        return "by the rule of today, to which this trajectory was dealt"
+        return "by the rule in use, to which this trajectory was assigned"
     if decision.stepped_back is not UNSET:
         return f"by the rule in the policy's place ({decision.stepped_back})"
     return "drawn to explore" if decision.is_explored else "by the policy"

@@ -116,13 +116,13 @@ def seen_in_state(
 def _refuse_new(new: Mapping[str, str], categories: Categories) -> Decision:
     name, given = next(iter(new.items()))
     meant = closest(given, categories[name])
-    they = "" if meant is None else f"; they showed {meant!r:.40}"
-    raise OutOfRangeError(f"{name} is {given!r:.40}, which no state of the logs showed{they}")
+    they = "" if meant is None else f"; they have {meant!r:.40}"
+    raise OutOfRangeError(f"{name} is {given!r:.40}, which does not occur in the logs{they}")
 
 
 def _check_next(stage: int | None, next_stage: int | None) -> None:
     if next_stage is not None and stage not in (None, next_stage):
-        raise Refusal(409, f"stage is {stage}, but the trajectory in progress has come to {next_stage}; leave it out")
+        raise Refusal(409, f"stage is {stage}, but the trajectory in progress is at stage {next_stage}; leave it out")
 
 
 def seen_in_cloud(

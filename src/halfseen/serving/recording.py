@@ -129,12 +129,10 @@ class RecordedTrajectories:
         """
         self._check_rewarded()
         if is_of_cloud and not self._is_of_tables:
-            raise Refusal(
-                409, "recording began with a policy that is not of tables; serve this one into another folder"
-            )
+            raise Refusal(409, "recording began with a policy without tables; record this one into another folder")
         if self._trajectory is not None and self._begun.is_of_cloud != is_of_cloud:
             began, other = ("a cloud", "JSON") if self._begun.is_of_cloud else ("JSON", "a cloud")
-            raise Refusal(409, f"{self._where}: it came as {began}, and now {other}; give one form from end to end")
+            raise Refusal(409, f"{self._where}: it came as {began}, but now {other}; keep one form throughout")
         return self._num_begun + 1
 
     def _check_rewarded(self) -> None:
@@ -206,7 +204,7 @@ class RecordedTrajectories:
                 begun_trajectory.cut(STOPPED)  # a trajectory without stages is not written
             if not isinstance(error, LogError):
                 raise
-            raise Refusal(422, f"nothing is decided, for it could not be recorded: {error}") from error
+            raise Refusal(422, f"nothing is decided, as it could not be recorded: {error}") from error
         self._begun, self._held = begun, None
         self._trajectory, self._num_begun = trajectory, self._num_begun + 1
         self._unrewarded = Waiting(reply.action, reply.object)
@@ -234,11 +232,11 @@ class RecordedTrajectories:
             A value does not fit a log; no stage is in progress.
         """
         if self._trajectory is None or self._unrewarded is None:
-            raise Refusal(409, "no stage waits for a reward; POST what is seen to /decide first")
+            raise Refusal(409, "no stage waits for a reward; POST the state to /decide first")
         if held is not None and not self._begun.is_of_cloud:
-            raise Refusal(422, f"{self._where}: held is for clouds, and this came as JSON, which tells it itself")
+            raise Refusal(422, f"{self._where}: held is for clouds, but this came as JSON, whose objects show it")
         if held is not None and self._unrewarded.object is None:
-            raise Refusal(422, f"{self._where}: held is {held}, but {self._unrewarded.action} tries nothing")
+            raise Refusal(422, f"{self._where}: held is {held}, but {self._unrewarded.action} moves nothing")
         self._trajectory.complete_stage(reward, elapsed_s=elapsed_s)
         self._unrewarded, self._held = None, held
         return self.facts
@@ -259,7 +257,7 @@ class RecordedTrajectories:
             A value does not fit a log; no trajectory is in progress, or its last stage has no reward.
         """
         if self._trajectory is None:
-            raise Refusal(409, "no trajectory is in progress; POST what is seen to /decide, which begins one")
+            raise Refusal(409, "no trajectory is in progress; POST the state to /decide, which begins one")
         if cause is None:
             self._check_rewarded()
             self._trajectory.finish(elapsed_s=elapsed_s)
@@ -329,5 +327,5 @@ def taken(decision: Decision, shares: Mapping[str, float], rng: np.random.Genera
     drawn = [*possible, best][int(np.searchsorted(reached, luck, side="right"))]
     if drawn == best:
         return Taken(decision, 1.0 - float(reached[-1]) + possible.get(best, 0.0), False)
-    reason = f"{drawn}: by chance, to explore; left to itself the policy takes {decision.reason}"
+    reason = f"{drawn}: drawn to explore; otherwise the policy takes {decision.reason}"
     return Taken(replace(decision, action=type(decision.action)(drawn), reason=reason), possible[drawn], True)

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from halfseen.policies.table_observation import SeenLaw
 
 NOBODY = (
-    "the folder of the policy, of an earlier version, does not say what its log did most; learn it again, or serve it "
-    "with --fall-back RULE"
+    "the policy's folder, of an earlier version, does not give the most frequent actions of its log; learn it "
+    "again, or serve it with --fall-back RULE"
 )
 
 
@@ -106,7 +106,7 @@ class Answering:
         by_policy = is_same
         if isinstance(decided, Decision):
             by_policy = chance_of(decided, self._shares(seen, decided), str(action))
-        decision = Decision(action, {}, f"{action}: {name}, to which this trajectory was dealt.")
+        decision = Decision(action, {}, f"{action}: {name}, to which this trajectory was assigned.")
         return Taken(decision, deal.probability(by_policy, 1.0), False), RULE
 
     def _shares(self, seen: Seen, decided: Decision) -> dict[str, float]:
@@ -246,7 +246,7 @@ class Served:
             return await to_thread.run_sync(ask) if service.stored.is_table else ask()
         with move_on_after(self.limit_s):
             return await to_thread.run_sync(ask, abandon_on_cancel=True)
-        return SteppedBack("late", f"the policy gave no answer within {self.limit_s:g} s")
+        return SteppedBack("late", f"the policy did not answer within {self.limit_s:g} s")
 
     async def rewarded(self, reward: float, elapsed_s: float | None = None, held: bool | None = None) -> Progress:
         """Complete the stage in progress; parameters and errors as in `RecordedTrajectories.rewarded`."""

@@ -121,7 +121,7 @@ class Watch:
         if found.get("is_alarm") and not before.get("is_alarm"):
             self.say(found["sentence"])
         if "error" in found and "error" not in before and not self._is_over:
-            self.say(f"The log is not watched: {found['error']}")
+            self.say(f"The log is not monitored: {found['error']}")
 
     def _asked(self) -> dict[str, Any]:
         words = [sys.executable, "-m", __name__, str(self.policy), str(self.logs), self.digest]
@@ -149,7 +149,7 @@ def found_of(policy: Path, logs: Path, digest: str = "", since: str | None = Non
     try:
         stored = read_policy(policy)
         if digest not in ("", digest_of(stored)):
-            return {"error": f"{policy} holds another policy than the one that decides; POST /reload, and it decides"}
+            return {"error": f"{policy} holds a different policy than the one in use; POST /reload to use it"}
         read = read_logs(logs, missing=stored.missing())
         read = read if since is None else later(read, since)
         found = monitored(stored, read)

@@ -254,4 +254,4 @@ def _check_workspace(log: TableLog) -> None:
 
 
 def _begins(log: TableLog, row: int) -> str:
-    return f"robot {log.decider[row]} begins with object {shown(value_at(log.logs.stages, 'object', row))}"
+    return f"robot {log.decider[row]} starts on object {shown(value_at(log.logs.stages, 'object', row))}"

@@ -53,7 +53,7 @@ def test_the_clock_may_be_when_it_was_sent(bag, mapping, read_mcap):
     rng, late = np.random.default_rng(0), mapping_for(as_json, "publish")
     logs = read_mcap(two_trajectories(), as_json, late, late_ns=lambda: int(rng.integers(10**9)))
     pd.testing.assert_frame_equal(logs.stages, read_mcap(two_trajectories(), as_json).stages)
-    with refused(r'clock: .* does not say when it was sent; say clock = "log"', ArgumentError):
+    with refused(r'clock: .* comes from a bag without send times; set clock = "log"', ArgumentError):
         read_bag(bag(two_trajectories(), storage="sqlite3"), mapping(mapping_for(as_ros, "publish")))
 
 
@@ -82,7 +82,7 @@ def test_fields_of_other_encodings_and_their_header_as_the_clock(read_mcap, enco
     assert (logs.elapsed_s().tolist(), logs.end_s.tolist()) == ([[2.5]], [3.0])
     assert logs.stages[["count", "share"]].to_numpy().tolist() == [[2**60, 0.25]]
     for field, message in (
-        ("shares", r"is no single value; name shares\.cup"),
+        ("shares", r"is not a single value; name shares\.cup"),
         ("shares.mug", r"has no field 'shares\.mug'; name cup"),
         ("counts.7", "there are 2 entries"),
         ("header", r"name header\.stamp"),
@@ -94,7 +94,7 @@ def test_fields_of_other_encodings_and_their_header_as_the_clock(read_mcap, enco
 def test_what_is_not_set_in_protobuf_is_told(read_mcap):
     for field in ("header", "raw"):
         told = mapping_for(as_protobuf).replace('field = "text"', f'field = "{field}"')
-        with refused(rf"field '{field}' is no single value", ArgumentError):
+        with refused(rf"field '{field}' is not a single value", ArgumentError):
             read_mcap(
                 two_trajectories(),
                 lambda *_: ("protobuf", SCHEMAS["protobuf"], Said(raw=b"x").SerializeToString()),
@@ -105,18 +105,18 @@ def test_what_is_not_set_in_protobuf_is_told(read_mcap):
 @pytest.mark.parametrize(
     ("encoding", "schema", "content", "told"),
     [
-        ("json", SCHEMAS["json"], b"{", "no whole bag"),
+        ("json", SCHEMAS["json"], b"{", "not a complete bag"),
         ("json", SCHEMAS["json"], b"[" * 1000, "nested more than 64 levels"),
-        ("json", SCHEMAS["json"], b'{"data": NaN}', "NaN is no number of JSON"),
+        ("json", SCHEMAS["json"], b'{"data": NaN}', "NaN is not a JSON number"),
         ("json", SCHEMAS["json"], b"\xff\xfe", "decode"),
-        ("protobuf", SCHEMAS["protobuf"], b"\xff\xff", "no whole bag"),
+        ("protobuf", SCHEMAS["protobuf"], b"\xff\xff", "not a complete bag"),
         ("protobuf", ("cell.Other", "protobuf", FILES.SerializeToString()), b"", r"cell\.Other"),
-        ("protobuf", ("cell.Said", "protobuf", b"\xff"), b"", "no whole bag"),
-        ("protobuf", SCHEMAS["json"], b"", "a channel of protobuf has no schema of protobuf"),
+        ("protobuf", ("cell.Said", "protobuf", b"\xff"), b"", "not a complete bag"),
+        ("protobuf", SCHEMAS["json"], b"", "a protobuf channel has no protobuf schema"),
         ("cdr", None, b"", "messages are of encoding 'cdr'"),
-        ("cdr", SCHEMAS["json"], b"", "the schema of cell.Said is of 'jsonschema', no form of ROS 2"),
-        ("cdr", ("std_msgs/msg/String", "ros2msg", b"string data"), b"\0", "no whole bag"),
-        ("flatbuffer", None, b"", "messages are of encoding 'flatbuffer', and cdr, json, protobuf are known"),
+        ("cdr", SCHEMAS["json"], b"", "the schema of cell.Said is of 'jsonschema', not an encoding of ROS 2"),
+        ("cdr", ("std_msgs/msg/String", "ros2msg", b"string data"), b"\0", "not a complete bag"),
+        ("flatbuffer", None, b"", "messages are of encoding 'flatbuffer', but only cdr, json, protobuf are supported"),
     ],
 )
 def test_messages_that_are_none_are_told(read_mcap, encoding, schema, content, told):
@@ -139,7 +139,7 @@ def test_a_wrong_checksum_is_told(tmp_path, mapping):
     content = file.read_bytes()
     assert content.count(b"monday-2") == 1
     file.write_bytes(content.replace(b"monday-2", b"monday-3"))
-    with refused(r"a\.mcap: it is no whole bag \(crc validation failed in Chunk"):
+    with refused(r"a\.mcap: it is not a complete bag \(crc validation failed in Chunk"):
         read_bag(file, mapping(mapping_for(as_json)))
 
 
@@ -159,7 +159,7 @@ def test_a_chunk_of_few_bytes_and_many_or_of_more_than_it_says_is_refused(read_m
         return unpacked(chunk)
 
     monkeypatch.setattr(bag_files, "_unpacked", less)
-    with refused("a chunk says that it has .* bytes unpacked, and has other"):
+    with refused("a chunk says that it has .* bytes uncompressed, but has another"):
         read_mcap(two_trajectories(), as_json, compression=compression, enable_crcs=False)
 
 

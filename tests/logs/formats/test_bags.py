@@ -49,28 +49,28 @@ BROKEN = [
     ('topic = "/reward"', "topic = 3", r"reward\.topic: expected `str`, got `int`"),
     ('topic = "/reward"', 'topic = ""', r"reward\.topic: it is missing"),
     ('topic = "/reward"', 'topic = "/r"\ntype = "x"', r"reward\.type: it is unknown"),
-    ("[action]", 'clock = "sim"\n[action]', r"clock: 'sim' is none of 'log', 'publish', 'header'"),
+    ("[action]", 'clock = "sim"\n[action]', r"clock: 'sim' is not one of 'log', 'publish', 'header'"),
     ("[action]", "covariates = 1\n[action]", r"covariates: expected `object`, got `int`"),
     ("[action]", "trajectory = 1\n[action]", r"trajectory: expected `object.*`, got `int`"),
     ("[action]", "[covariates.reward]\ntopic='/x'\nfield='data'\n[action]", "covariates.reward: stages have such"),
     ("[action]", "[covariates.x]\ntopic='/x'\n[action]", r"covariates\.x\.field: it is missing"),
     ('topic = "/end"', 'topic = "/end"\nfinished = []', r"ending\.finished: expected `array` of length >= 1"),
     ('topic = "/end"', 'topic = "/end"\nfinished = "done"', r"ending\.finished: expected `array`, got `str`"),
-    ("[action]", "[action", r".*it is no TOML .*line 1"),
+    ("[action]", "[action", r".*it is not valid TOML .*line 1"),
     # Those that do not fit the bag.
     ("/reward", "/rewrd", r"reward\.topic: there is no topic '/rewrd' in .*; there are /action, /end, /joints, /rew"),
     ('reward"\nfield = "data"', 'reward"\nfield = "value"', r"reward\.field: .*no field 'value'; name data"),
     ('reward"\nfield = "data"', 'reward"\nfield = "data.x"', r"reward\.field: .* has no field 'data\.x'"),
-    ('"/reward"', '"/action"', r"reward\.field: /action .*field 'data' is 'A', no number"),
+    ('"/reward"', '"/action"', r"reward\.field: /action .*field 'data' is 'A', not a number"),
     ('"/action"', '"/reward"', r"action\.field: /reward .*field 'data' is 1\.0, neither text nor a whole number"),
     ("[action]", 'clock = "header"\n[action]', r"clock: /action \(std_msgs/msg/String\) has no header\.stamp"),
     *(
         ("[action]", f'[covariates.x]\ntopic="/joints"\nfield="{field}"\n[action]',
          rf"covariates\.x\.field: /joints .*{message}")
         for field, message in (
-            ("position", r"'position' is no single value; name one of its 2 entries, position\.0 to position\.1"),
+            ("position", r"'position' is not a single value; name one of its 2 entries, position\.0 to position\.1"),
             ("position.7", r"field 'position\.7': there are 2 entries, counted from 0"),
-            ("header", r"field 'header' is no single value; name header\.stamp, header\.frame_id"),
+            ("header", r"field 'header' is not a single value; name header\.stamp, header\.frame_id"),
             ("effort.0", r"field 'effort\.0': there are 0 entries"),
             ("__class__", r"has no field '__class__'"),
         )
@@ -180,7 +180,7 @@ B = text(3.0, "/action", "B")
         ([A, R, text(3.0, "/end", "Finished")],
          r"bag: trajectory 1, stage 2: ending 'Finished' differs from 'finished' only in spelling; name both in fin"),
         ([A, R, text(3.0, "/end", "finished"), E], r"trajectory 1: ending comes at 8 s, after .* at 2 s; map"),
-        ([A, number(1.0, "/reward", 1.0), E], r"trajectory 1, stage 1: elapsed_s 0\.0 is no time after"),
+        ([A, number(1.0, "/reward", 1.0), E], r"trajectory 1, stage 1: elapsed_s 0\.0 is not a time after"),
         ([A, number(2.0, "/reward", np.nan), E], r"trajectory 1, stage 1: .*its reward is nan"),
         ([message for message in two_trajectories() if message[0] != 1.1],
          r"trajectory 'monday-1', stage 1: no message of /camera/occlusion came before"),
@@ -199,7 +199,7 @@ def test_a_trajectory_cut_before_anything_was_seen_is_left_out_with_a_warning(ba
         assert read_bag(bag(messages), mapping()).num_trajectories == 2
     messages = [message for message in two_trajectories() if message[1] != "/episode/begin"]
     bags = [bag(messages, "without"), bag([text(0.0, "/episode/begin", "late")], "late")]
-    told = r"no trajectory with a stage was found; look at \[trajectory\] in .*cell\.toml"
+    told = r"no trajectory with a stage was found; check \[trajectory\] in .*cell\.toml"
     with pytest.warns(HalfseenWarning, match="'late' was cut"), refused(told, LogError):
         read_bag(bags, mapping())
 
@@ -208,7 +208,7 @@ def test_what_is_no_bag_is_told(tmp_path, mapping):
     for folder in ("empty", "broken"):
         (tmp_path / folder).mkdir()
     (tmp_path / "broken" / "metadata.yaml").write_text("nonsense: [")
-    for name, told in (("none", "no such bag"), ("empty", "it holds no bag"), ("broken", "it is no whole bag")):
+    for name, told in (("none", "no such bag"), ("empty", "it holds no bag"), ("broken", "it is not a complete bag")):
         with refused(told, LogError):
             read_bag(tmp_path / name, mapping())
 
@@ -260,10 +260,10 @@ def test_each_stage_has_the_last_cloud_before_its_action_and_only_those_are_read
 @pytest.mark.parametrize(
     ("options", "told", "message"),
     [
-        ({"axes": "xy"}, CLOUD, r"bag, /points, cloud 0: its fields intensity, x, y have no x, y and z"),
-        ({"dtype": "<i4"}, CLOUD, r"have no x, y and z of floats"),
+        ({"axes": "xy"}, CLOUD, r"bag, /points, cloud 0: its fields intensity, x, y lack x, y and z"),
+        ({"dtype": "<i4"}, CLOUD, r"lack x, y and z as floats"),
         ({"lost_bytes": 3}, CLOUD, r"75 bytes are not the 2 × 39 announced; it was cut short"),
-        ({}, SMALL, r"cell\.toml, cloud: it is missing, so that no cloud is seen"),
+        ({}, SMALL, r"cell\.toml, cloud: it is missing, so no cloud is read"),
         ({}, CLOUD.replace("/points", "/reward"), r"cloud\.topic: /reward carries std_msgs/msg/Float64, not sensor_"),
     ],
 )

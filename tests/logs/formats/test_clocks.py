@@ -94,7 +94,7 @@ def test_a_clock_of_steps_that_runs_on_is_parted_at_the_ends(tmp_path, read):
         (BEGINS["of the calendar"], r"episode 0: by t its first step would last 1\.7e\+09 s"),
         (
             [0.0, 99.0, 101.0],
-            r"episode 1: by t its first step would last 98 s, and no later step lasts more than 0\.5 s",
+            r"episode 1: by t its first step would last 98 s, but no later step lasts more than 0\.5 s",
         ),
         ([0.0, 1.5, 0.0], r"episode 1: by t its first step would last 2 s"),  # begins again, though not everywhere
     ],

@@ -43,19 +43,19 @@ def test_types_may_name_only_some_columns(folder):
     assert logs.objects["hidden_by"][0].tolist() == [0.0, 0.0]
 
 
-NO_TABLE = "it is no CSV file of one table"
+NO_TABLE = "it is not a CSV file of one table"
 WRONG = [
-    ("stages.csv", "1,1,1.5", "1,1,soon", r", row 2, column 'elapsed_s': 'soon' is no double"),
-    ("stages.csv", "2,1,2,", "2,one,2,", r", row 4, column 'stage': 'one' is no int64"),
+    ("stages.csv", "1,1,1.5", "1,1,soon", r", row 2, column 'elapsed_s': 'soon' is not of type double"),
+    ("stages.csv", "2,1,2,", "2,one,2,", r", row 4, column 'stage': 'one' is not of type int64"),
     ("stages.csv", "-0.1,0.5,10", "-0.1,0.5", rf": {NO_TABLE} .*Row #2: Expected 8 columns, got 7"),
-    ("stages.csv", "-5,1,9", "-5,1,NA", r", row 3, column 'steps_to_go': 'NA' is no (int64|number)"),
+    ("stages.csv", "-5,1,9", "-5,1,NA", r", row 3, column 'steps_to_go': 'NA' is not (of type int64|a number)"),
     ("stages.csv", '"stage"', '"sta\nge"', r": the column 'sta\\nge' has a name of two lines"),
     ("stages.csv", '"stage"', '"trajectory"', r": there are two columns 'trajectory'"),
     ("stages.csv", '"stage"', '"stag"', r"there is no column 'stage' among .* rename 'stag'\?"),
-    ("stages.csv", "1,1,1.5", "9,1,1.5", r"trajectories has no such trajectory"),
+    ("stages.csv", "1,1,1.5", "9,1,1.5", r"trajectories does not list this trajectory"),
     ("stages.csv", "1,1,1.5", "1,1,-1.5", r"trajectory 1, stage 1: elapsed_s -1.5"),
     ("trajectories.csv", ",", ";", r": its cells are separated by ';'; export it with commas"),
-    ("trajectories.csv", "battery", b"b\xe4ttery", r": it is no CSV file.*(utf-8|UTF8)"),
+    ("trajectories.csv", "battery", b"b\xe4ttery", r": it is not a CSV file.*(utf-8|UTF8)"),
     *((name, None, b"", f": {NO_TABLE}") for name in ("stages.csv", "trajectories.csv")),
     *((name, None, None, ": it is missing") for name in ("stages.csv", "trajectories.csv")),
 ]
@@ -69,8 +69,8 @@ TYPES = [
         for tables, told in (
             ("[]", r"it is not of format .*`\$\.tables`"),
             ('{"trajectories": {"end_s": "metres"}}', "'metres' is unknown"),
-            ('{"trajectories": {"end_s": 3}}', "tables.trajectories.end_s is 3, which is no type"),
-            ('{"trajectories": {"end_s": {"type": 1}}}', "which is no type"),
+            ('{"trajectories": {"end_s": 3}}', "tables.trajectories.end_s is 3, which is not a type"),
+            ('{"trajectories": {"end_s": {"type": 1}}}', "which is not a type"),
         )
     ),
 ]
@@ -97,7 +97,7 @@ def test_what_is_wrong_is_told_with_file_row_and_column(folder, has_types):
     for case in WRONG:
         check_wrong(folder, *case)
     if has_types:
-        told = r", row 2, column 'hidden_by': '\[0\.0, 0\.0' is no list<double>"
+        told = r", row 2, column 'hidden_by': '\[0\.0, 0\.0' is not of type list<double>"
         check_wrong(folder, "objects.csv", '"[0.0, 0.0]"', '"[0.0, 0.0"', told)
         for types, told in TYPES:
             check_wrong(folder, "columns.json", None, types, told)
@@ -113,7 +113,7 @@ def test_text_among_numbers_is_refused_without_a_type(folder):
         file.write_text("\n".join([f"{heading},x", *(f"{row},{given[k]}" for k, row in enumerate(rows))]))
         return read_csv(folder).stages["x"]
 
-    told = r"stages\.csv, row 2, column 'x': 'nan' is no number, though most cells of the column are; mend the cell"
+    told = r"stages\.csv, row 2, column 'x': 'nan' is not a number, though most cells of the column are; fix the cell"
     with refused(told, LogError):
         read("nan", "0.5", "0.5")
     assert read("7", "0.5").tolist()[:2] == [7.0, 0.5]

@@ -36,7 +36,7 @@ def test_hours_of_half_a_day_need_their_half(read_table):
     )
     logs = read_table(text, ENDED.replace("FORMAT", "%d/%m/%Y %I:%M:%S %p"))
     assert ends(logs) == [(1, 15.0, "finished", None)]
-    with refused(r"cell\.toml, clock\.format: %p says nothing beside %H, .*; say %I in place of %H", ArgumentError):
+    with refused(r"cell\.toml, clock\.format: %p has no effect with %H, .*; use %I instead of %H", ArgumentError):
         read_table(text, ENDED.replace("FORMAT", "%d/%m/%Y %H:%M:%S %p"))
     with refused(r"cell\.toml, clock\.format: %I is an hour from 1 to 12, which needs %p", ArgumentError):
         read_table(text, ENDED.replace("FORMAT", "%d/%m/%Y %I:%M:%S AM"))
@@ -52,7 +52,7 @@ def test_dates_without_a_year_do_not_run_on_over_a_new_year(read_table):
     mapping = ENDED.replace("FORMAT", "%d.%m. %H:%M:%S").replace('["yes"]', '["yes", ""]')
     logs = read_table(text.format("30.12."), mapping)
     assert [row[1] for row in ends(logs)] == [10.0, 5.0]
-    with refused(r"line 3, column 'time': '01\.01\. 10:00:05' stands after '31\.12\. 23:59:50', and .* no year"):
+    with refused(r"line 3, column 'time': '01\.01\. 10:00:05' comes after '31\.12\. 23:59:50', but .* no year"):
         read_table(text.format("01.01."), mapping)
 
 
@@ -110,21 +110,21 @@ def test_whole_names_that_a_missing_value_made_fractions_are_whole(read_table):
 def test_names_that_were_rounded_are_refused(read_table, name):
     for column in ("run", "tool"):
         text = WIDE.replace({"run": "b,", "tool": ",soft"}[column], {"run": f'"{name}",', "tool": f',"{name}"'}[column])
-        with refused(rf"column '{column}': '{name[0]}.*' is a rounded number, for which several names may stand"):
+        with refused(rf"column '{column}': '{name[0]}.*' is a rounded number that may stand for several names"):
             read_table(text, STAGES)
     assert read_table(WIDE.replace("b,", "1E5,"), STAGES).trajectory_ids.tolist() == ["1E5", "a"]
 
 
 def test_rows_of_one_name_that_stand_apart_are_warned_of(read_table, read_files):
     day = "run,tool,seconds left,ms,worth,stop\n1,soft,9,1500,1,\n2,soft,9,2500,1,\n"
-    apart = r"line 2: rows of trajectory 1 stand apart, with others between; so they do in 2 of 2 trajectories"
+    apart = r"line 2: rows of trajectory 1 are not adjacent, as in 2 of 2 trajectories"
     with pytest.warns(HalfseenWarning, match=rf"file tuesday\.csv, {apart}.* join the logs"):
         read_files({"monday.csv": day, "tuesday.csv": day.replace("00", "50")}, STAGES)
     night = {"monday.csv": day, "tuesday.csv": day.replace("1,soft,9,1500,1,\n", "").replace("2500", "4500")}
     assert [row[1] for row in ends(read_files(night, STAGES))] == [1.5, 4.5]
     heading, *rows = GERMAN.splitlines(keepends=True)
     mixed = heading + "".join(sorted(rows, key=lambda row: row.split(";")[0][14:19]))  # of two robots, by one clock
-    with pytest.warns(HalfseenWarning, match="rows are put in order of time"):
+    with pytest.warns(HalfseenWarning, match="rows are sorted by time"):
         assert stages(read_table(mixed, HISTORIAN), "weight") == GERMAN_STAGES
 
 
@@ -151,12 +151,15 @@ def test_files_may_have_their_columns_in_another_order(read_files):
     turned = "stop,worth,ms,seconds left,tool,run\n,1,1500,9,soft,c\n"
     logs = read_files({"one.csv": WIDE, "two.csv": turned}, STAGES)
     assert stages(logs, "left")[-1] == ("c", 1, 1.5, "soft", 1.0, 9.0)
-    with refused(r"two\.csv: its columns are not those of .*one\.csv \('left', 'seconds left'\); convert each alone"):
+    with refused(
+        r"two\.csv: its columns differ from those of .*one\.csv \('left', 'seconds left'\); convert each "
+        "separately"
+    ):
         read_files({"one.csv": WIDE, "two.csv": turned.replace("seconds left", "left")}, STAGES)
 
 
 def test_an_ending_in_every_row_is_told_as_such(read_table):
-    told = r"after its ending at 2 s; .*; mend the times, leave column 'stop' empty in all rows but the last, or have"
+    told = r"after its ending at 2 s; .*; fix the times, leave column 'stop' empty in all rows but the last, or have"
     with refused(told):
         read_table(WIDE.replace("2000,1,", "2000,1,operator"), STAGES)
 
@@ -207,7 +210,7 @@ def test_fractions_that_round_whole_numbers_are_warned_of(tmp_path, kind, most, 
 
 @pytest.mark.parametrize("cell", ["NaN", "n/a", "NULL", "-"])
 def test_what_looks_missing_is_told_as_such(read_table, cell):
-    told = rf"column 'seconds left': '{cell}' is no number.* if it is missing, leave it empty, or say values ="
+    told = rf"column 'seconds left': '{cell}' is not a number.* if it is missing, leave it empty, or set values ="
     for old in ("9.5", "6.25"):
         with refused(told):
             read_table(WIDE.replace(old, cell, 1), STAGES)
@@ -278,14 +281,12 @@ def test_truth_values_are_no_categories(read_table, tmp_path, words):
 
 def test_files_without_rows_are_passed_over_with_a_warning(read_files):
     heading = WIDE.splitlines()[0]
-    with pytest.warns(
-        HalfseenWarning, match=r"b\.csv: 2 of 3 files have no rows, and are passed over; this is the first"
-    ):
+    with pytest.warns(HalfseenWarning, match=r"b\.csv: 2 of 3 files have no rows, and are skipped; this is the first"):
         logs = read_files({"a.csv": WIDE, "b.csv": f"{heading}\n", "c.csv": ""}, STAGES)
     assert stages(logs) == stages(read_files({"a.csv": WIDE}, STAGES))
     with (
         pytest.warns(HalfseenWarning, match="1 of 1 files"),
-        refused("none of its tables has a row; give one at least"),
+        refused("all its tables are empty; give at least one with rows"),
     ):
         read_files({"b.csv": heading}, STAGES)
 
@@ -321,7 +322,7 @@ def test_times_of_other_programs_are_guessed(tmp_path, time, line):
 
 def test_one_byte_of_another_encoding_does_not_change_all_other_letters(read_table):
     content = GERMAN.encode() + "2025-10-26T02:21:00+01:00;9;Störung;;\n".encode("cp1252")
-    with refused(r"line 15: bytes b'\\xf6' are no UTF-8, though other bytes are; mend them, or say table\.encoding"):
+    with refused(r"line 15: bytes b'\\xf6' are not UTF-8, though other bytes are; fix them, or set table\.encoding"):
         read_table(content, HISTORIAN)
     said = HISTORIAN + 'table = {encoding = "cp1252"}'
     assert read_table(content, said).stages["action"].tolist()[0] == "S\u00c3\u00a4ule"
@@ -349,7 +350,7 @@ def test_a_clock_that_starts_again_is_not_mixed_with_what_it_counted_before(read
     with pytest.warns(HalfseenWarning) as told:
         logs = read_table(RESTARTED, BEGUN)
     said = [str(each.message).split("events.csv", 1)[1] for each in told]
-    assert said[0].startswith(", line 7: the clock starts again, and a trajectory begins, as it does 1 times in all;")
+    assert said[0].startswith(", line 7: the clock restarts where a trajectory begins, 1 times in all;")
     assert said[1].startswith(": 1 values come before the first beginning of a trajectory; they are left out")
     assert ends(logs) == [(1, 90.0, "cut", "log ended"), (2, 4.5, "finished", None)]
     assert stages(logs, "clutter") == [
@@ -362,14 +363,16 @@ def test_a_clock_that_starts_again_is_not_mixed_with_what_it_counted_before(read
 def test_a_late_row_and_rows_out_of_order_are_no_new_start(read_table):
     rows = PLC.splitlines(keepends=True)
     late = "".join([*rows[:7], "103;LOOK;0.75\n", *rows[7:]])
-    with pytest.warns(HalfseenWarning, match="line 8: the time is before that of the row above; rows are put in order"):
+    with pytest.warns(
+        HalfseenWarning, match="line 8: the time is before that of the row above; rows are sorted by time"
+    ):
         assert ends(read_table(late, BEGUN)) == ends(read_table(PLC, BEGUN))
     turned = "".join([rows[0], *rows[7:], *rows[2:7]])
-    with pytest.warns(HalfseenWarning, match="the clock starts again, and a trajectory begins"):
+    with pytest.warns(HalfseenWarning, match="the clock restarts where a trajectory begins"):
         found = read_table(turned, BEGUN)
     assert [row[1:] for row in ends(found)] == [row[1:] for row in ends(read_table(PLC, BEGUN))][::-1]
     dates = [row if k == 0 else f"17{row[:3]}00000{row[3:]}" for k, row in enumerate(turned.splitlines(keepends=True))]
-    with pytest.warns(HalfseenWarning, match="rows are put in order of time"):
+    with pytest.warns(HalfseenWarning, match="rows are sorted by time"):
         assert [row[2:] for row in ends(read_table("".join(dates), BEGUN))] == [
             row[2:] for row in ends(read_table(PLC, BEGUN))
         ]

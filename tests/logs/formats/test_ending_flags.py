@@ -54,13 +54,14 @@ def test_an_ending_may_be_flags_of_the_row_that_acts(read_table, tmp_path):
     ("old", "new", "message"),
     [
         ("finished = {", 'field = "terminated", finished = {', r"cell\.toml, ending: field and topic are of text"),
-        ('finished = {field = "terminated"}, ', "", r"ending\.finished: it is no flag, and cut is one; say finished"),
+        ('finished = {field = "terminated"}, ', "", r"ending\.finished: it is not a flag, but cut is; set finished"),
         ('"truncated"', '"truncate"', r"ending\.cut\.field: there is no column 'truncate' .*did you mean 'truncated'"),
         ('"terminated"', '"worth"', r"line 2, column 'worth': '2.5' is neither true nor false"),
-        ('"run"', '"tool"', r"the ending must be last by the clock; .* have column 'tool' tell the trajectories apart"),
+        ('"run"', '"tool"', r"the ending must be last by the clock; .* have column 'tool' distinguish the "
+        "trajectories"),
         ('trajectory = {field = "run"}\n', "", r"map \[trajectory\], the column of its name or the event that begins"),
         ('{field = "terminated"}, cut = {field = "truncated"}', '["true"], field = "terminated"',
-         r"action comes at 4 s, after its ending .*; column 'terminated' is true or false, so say finished = \{field"),
+         r"action comes at 4 s, after its ending .*; column 'terminated' is true or false, so set finished = \{field"),
     ],
 )  # fmt: skip
 def test_flags_that_do_not_fit_are_refused(read_table, old, new, message):

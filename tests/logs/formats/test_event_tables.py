@@ -33,9 +33,7 @@ def test_a_historians_events_across_the_change_of_clocks(read_table, encoding):
 def test_rows_may_stand_newest_first_or_mixed(read_table):
     heading, *rows = GERMAN.splitlines(keepends=True)
     assert stages(read_table(heading + "".join(rows[::-1]), HISTORIAN), "weight") == GERMAN_STAGES
-    mixed = (
-        r"events\.csv, line \d+: the time is before that of the row above; so it is in \d rows; rows are put in order"
-    )
+    mixed = r"events\.csv, line \d+: the time is before that of the row above, as in \d rows; rows are sorted by time"
     with pytest.warns(HalfseenWarning, match=mixed):
         found = read_table(heading + "".join(rows[::2] + rows[1::2]), HISTORIAN)
     assert stages(found, "weight") == GERMAN_STAGES
@@ -56,9 +54,9 @@ ending = {topic = "end", finished = ["end"]}
     assert stages(logs) == [(1, 1, 3600.5 + 3600.0, "a", 2.0)]
     assert ends(logs) == [(1, 7201.75, "finished", None)]
     twice = [night[0], "26.10.2025 02:30:00,0", night[2]]
-    with refused(r"events\.csv, line 3, column 't': '26.10.2025 02:30:00,0' was there twice or never in Europe/Berlin"):
+    with refused(r"events\.csv, line 3, column 't': '26.10.2025 02:30:00,0' occurred twice or never in Europe/Berlin"):
         read_table(text.format(*twice), mapping)
-    with pytest.warns(HalfseenWarning, match=r"column 't': times have no zone.*say clock.zone"):
+    with pytest.warns(HalfseenWarning, match=r"column 't': times have no zone.*set clock.zone"):
         naive = read_table(text.format(*night), mapping.replace('zone = "Europe/Berlin", ', ""))
     assert stages(naive)[0][2] == 3600.5
 
@@ -128,7 +126,7 @@ def test_parquet_and_arrow_tables_are_the_same_rows(tmp_path, read_table):
         logs = read_event_table(source, tmp_path / "cell.toml")
         assert stages(logs, "weight") == GERMAN_STAGES
         assert ends(logs) == GERMAN_ENDS
-    with refused(r"events\.parquet, row 2, column 'Text': '' is no action"):
+    with refused(r"events\.parquet, row 2, column 'Text': '' is not a valid action"):
         empty = table.set_column(3, "Text", pa.array([None] * len(table), pa.string()))
         pq.write_table(empty, tmp_path / "events.parquet")
         read_event_table(tmp_path / "events.parquet", tmp_path / "cell.toml")
@@ -139,8 +137,8 @@ def american(date):
 
 
 def test_the_order_of_day_and_month_is_never_guessed(read_table):
-    ways = r"say clock.format, such as \"%d/%m/%Y %H:%M:%S\" or \"%m/%d/%Y %H:%M:%S\""
-    with refused(rf"events\.csv, line 2, column 'time': '03/04/2025 10:00:00' is no ISO time.*{ways}"):
+    ways = r"set clock.format, such as \"%d/%m/%Y %H:%M:%S\" or \"%m/%d/%Y %H:%M:%S\""
+    with refused(rf"events\.csv, line 2, column 'time': '03/04/2025 10:00:00' is not an ISO time.*{ways}"):
         read_table(american("03/04/2025"), AMERICAN.replace("FORMAT", ""))
     days = {}
     for way in ("%m/%d/%Y", "%d/%m/%Y"):
@@ -161,19 +159,19 @@ def test_the_order_of_day_and_month_is_never_guessed(read_table):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("1,25", "1.25", r"column 'Wert': '1\.25' has a point, yet there is a comma in .*line 2, column 'Wert'"),
-        ("1,25", "viel", r"line 4, column 'Wert': 'viel' is no number of decimal mark ','; mend it, or say values"),
-        ("1,25", "NaN", r"line 4, column 'Wert': 'NaN' is no number"),
-        ("1,25", "", r"line 4, column 'Wert': '' is no number"),
-        ("1,25", "1e999", r"line 4, column 'Wert': '1e999' is no number"),
-        ("26T02:00:01", "36T02:00:01", r"line 4, column 'Zeit': '2025-10-36.*' is no time of the format ISO8601"),
-        ("2025-10-26T02:00:01+01:00", "", r"line 4, column 'Zeit': '' is no time; every row needs one"),
-        ("02:00:01+01:00", "02:00:01", r"line 4, column 'Zeit': '.*' has no zone, and others have"),
-        ("7;Ablage;;1,25", ";Ablage;;1,25", r"line 4, column 'Lauf': '' is no trajectory; give one"),
+        ("1,25", "1.25", r"column 'Wert': '1\.25' has a point, but .*line 2, column 'Wert'"),
+        ("1,25", "viel", r"line 4, column 'Wert': 'viel' is not a number with decimal mark ','; fix it, or set values"),
+        ("1,25", "NaN", r"line 4, column 'Wert': 'NaN' is not a number"),
+        ("1,25", "", r"line 4, column 'Wert': '' is not a number"),
+        ("1,25", "1e999", r"line 4, column 'Wert': '1e999' is not a number"),
+        ("26T02:00:01", "36T02:00:01", r"line 4, column 'Zeit': '2025-10-36.*' is not a time in format ISO8601"),
+        ("2025-10-26T02:00:01+01:00", "", r"line 4, column 'Zeit': '' is not a time; every row needs one"),
+        ("02:00:01+01:00", "02:00:01", r"line 4, column 'Zeit': '.*' has no zone, but others have"),
+        ("7;Ablage;;1,25", ";Ablage;;1,25", r"line 4, column 'Lauf': '' is not a valid trajectory; give one"),
         ("Ablage;;1,25", "Ablage;;1,25;5", r"line 4: it has 6 cells between ';', and the heading has 5"),
         ("7;Griff;Kiste;", "7;Ablage;;1,0", r"line 6: trajectory 7, stage 2: reward 1.0 comes .* with no action"),
         ("7;Ablage;;1,25", "7;Griff;Kiste;", r"line 4: trajectory 7, stage 1: action 'Kiste' comes .* has no reward"),
-        ("Säule;\n2025-10-26T02:00:01", '"Säule;\n2025-10-26T02:00:01', r"line 3: a quote opens .* none closes it"),
+        ("Säule;\n2025-10-26T02:00:01", '"Säule;\n2025-10-26T02:00:01', r"line 3: a quote opens .* is not closed"),
     ],
 )  # fmt: skip
 def test_a_bad_value_is_refused_with_its_line(read_table, old, new, message):
@@ -184,7 +182,7 @@ def test_a_bad_value_is_refused_with_its_line(read_table, old, new, message):
 
 def test_lines_are_counted_as_an_editor_does(read_table):
     text = WIDE.replace("a,soft", '\n"a",soft').replace("b,soft", 'b,"so\nft"').replace("6.25", "x")
-    with refused(r"line 7, column 'seconds left': 'x' is no number"):
+    with refused(r"line 7, column 'seconds left': 'x' is not a number"):
         read_table(text, STAGES)
     assert stages(read_table("sep=,\n" + WIDE, STAGES)) == stages(read_table(WIDE, STAGES))
     with_notes = "exported by me\nat noon\n" + WIDE.replace("6.25", "x")
@@ -212,7 +210,7 @@ def test_numbers_in_thousands_are_not_taken_for_fractions(read_table):
         ('"Griff"', '"Grif"', r"cell\.toml, action\.topic: no event of .* is 'Grif'; there are Ablage, Ende"),
         ('"Wert"', '"wert"', r"cell\.toml, reward\.field: there is no column 'wert' .*did you mean 'Wert'"),
         ('"Zeit"', '"Datum"', r"cell\.toml, clock\.field: there is no column 'Datum'"),
-        ('"Zeit"', '"Lauf"', r"line 2, column 'Lauf': '7' is a number; say clock.unit"),
+        ('"Zeit"', '"Lauf"', r"line 2, column 'Lauf': '7' is a number; set clock.unit"),
         ('"Zeit"}', '"Zeit", zone = "Berlin"}', None),
         ('"Zeit"}', '"Zeit", unit = "hr"}', r"cell\.toml, clock\.unit: invalid enum value 'hr'"),
         ('"Zeit"}', '"Zeit", unit = "s", format = "%d"}', r"clock\.format: dates have a format, and numbers a unit"),
@@ -223,7 +221,7 @@ def test_numbers_in_thousands_are_not_taken_for_fractions(read_table):
         ("covariates.weight", "covariates.reward", r"covariates\.reward: stages have such a column already"),
         ('values = {"Säule" = "column"}', "values = 3", r"cell\.toml, action\.values: expected `object`, got `int`"),
         ('topic = "Ereignis"\n', "", r"cell\.toml, clock\.begin: it is missing"),
-        ('topic = "Ereignis"', "topic = [", r"cell\.toml: it is no TOML"),
+        ('topic = "Ereignis"', "topic = [", r"cell\.toml: it is not valid TOML"),
     ],
 )  # fmt: skip
 def test_a_mapping_that_does_not_fit_is_refused(read_table, old, new, message):
@@ -240,13 +238,13 @@ def test_files_of_no_table_are_refused(read_table, tmp_path):
     with refused(r"book\.xlsx: workbooks are not read; save the sheet as CSV UTF-8"):
         read_table("", HISTORIAN, name="book.xlsx")
     for text, message in (
-        ("", r"there is no row|no separator"),
-        ("a;b\n", r"there is no row below the heading"),
-        ("a\n1\n", r"no separator is in its heading"),
+        ("", r"there are no rows|none of the separators"),
+        ("a;b\n", r"there are no rows below the heading"),
+        ("a\n1\n", r"its heading has none of the separators"),
         ("a;a\n1;2\n", r"there are two columns 'a'"),
         ("a;;b\n1;2;3\n", r"column 2 has no name"),
-        (b"a;b\n\0;1\n", r"null characters; say table.encoding"),
-        (b"a;b\n1;\x81\n", r"line 2: bytes b'\\x81' are no cp1252; say table.encoding"),
+        (b"a;b\n\0;1\n", r"null characters; set table.encoding"),
+        (b"a;b\n1;\x81\n", r"line 2: bytes b'\\x81' are not cp1252; set table.encoding"),
     ):
         with refused(message, LogError):
             read_table(text, HISTORIAN)
@@ -261,7 +259,7 @@ def test_the_mapping_that_is_made_from_a_table_reads_it(read_table, tmp_path, en
     for line in (
         "topic = \"Ereignis\"  # guess: such as 'Gewicht' and 'Griff'",
         'separator = ";"  # guess',
-        'decimal = ","  # guess: of fractions, "," or "."',
+        'decimal = ","  # guess: decimal mark, "," or "."',
         f'encoding = "{encoding}"  # guess: utf-8, utf-8-sig, cp1252 or utf-16',
         "field = \"Lauf\"  # guess: such as '7' and '8'",
         "field = \"Text\"  # guess: such as 'fertig' and 'Not-Halt'",
@@ -291,7 +289,7 @@ def test_a_mapping_of_stages_and_of_a_plc_only_lacks_what_nobody_can_guess(read_
 def test_a_mapping_names_both_orders_of_day_and_month(tmp_path):
     (tmp_path / "us.csv").write_text(american("03/04/2025"))
     made = mapping_of(tmp_path / "us.csv").splitlines()
-    at = made.index("# The order of day and month is not to be guessed; choose one:")
+    at = made.index("# The order of day and month cannot be guessed; choose one:")
     assert made[at + 1 : at + 3] == [
         '# format = "%d/%m/%Y %H:%M:%S"  # guess',
         '# format = "%m/%d/%Y %H:%M:%S"  # guess',
@@ -314,13 +312,13 @@ def test_a_covariate_is_numbers_or_text_as_it_begins_or_as_it_is_said(read_table
     assert weights(["007", "7", "8", "9"]) == [7.0, 7.0, 8.0, 9.0]
     assert weights(["leicht", "7", "x", "x"], ", values = {leicht = 0.5, x = 2}") == [0.5, 7.0, 2.0, 2.0]
     assert weights(["1", "7", "x", "x"], ', values = {x = "much"}') == ["1", "7", "much", "much"]
-    with refused(r"line 5, column 'Wert': 'x' is no number of decimal mark ','"):
+    with refused(r"line 5, column 'Wert': 'x' is not a number with decimal mark ','"):
         weights(["1", "x", "7", "7"])
     with refused(
-        r"line 2, column 'Wert': 'NULL' is no number, and most of the column are; .* say values = \{\"NULL\" = nan\}"
+        r"line 2, column 'Wert': 'NULL' is not a number, but most of the column are; .* set values = \{\"NULL\" = nan\}"
     ):
         weights(["NULL", "1.234,5", "7", "7"])
-    with refused(r"line 2, column 'Wert': '0,5 kg' is a number with a unit; export it without, or say type = \"text\""):
+    with refused(r"line 2, column 'Wert': '0,5 kg' is a number with a unit; export it without, or set type = \"text\""):
         weights(["0,5 kg", "1.234 kg", "7 kg", "7 kg"])
     for names in (["2 kg", "2 kg", "2 kg", "2 kg"], ["2 kg", "5 g", "2 kg", "5 g"], ["a1", "a2", "a3", "a4"]):
         assert weights(names) == names
@@ -333,7 +331,7 @@ def test_one_clock_for_all_trajectories_is_warned_of(read_table):
     text = "run,tool,started,ms,worth,stop\n" + "".join(rows)
     mapping = STAGES.replace('covariates.left = {field = "seconds left"}\n', "")
     with pytest.warns(
-        HalfseenWarning, match=r"column 'ms': times run on over trajectories.* say begin = \"started\", the"
+        HalfseenWarning, match=r"column 'ms': times continue from one trajectory .* by begin = \"started\", the"
     ):
         read_table(text, mapping)
     read_table(text, mapping.replace('since = "trajectory"', 'begin = "started"'))

@@ -36,7 +36,7 @@ def test_times_of_day_run_on_over_midnight(read_table, tmp_path, is_newest_first
     made = mapping_of(tmp_path / "events.csv")
     for line in ('format = "%H:%M:%S,%f"  # guess', 'thousands = "."  # guess: between groups of three digits'):
         assert line in made.splitlines()
-    with pytest.warns(HalfseenWarning, match="times have no date, so that those which fall back past midnight"):
+    with pytest.warns(HalfseenWarning, match="times have no date, so those that fall back past midnight"):
         logs = read_table(text, made, "utf-8-sig")
     assert stages(logs, "Poids") == MIDNIGHT_STAGES
     assert ends(logs) == MIDNIGHT_ENDS
@@ -46,11 +46,11 @@ def test_times_of_day_run_on_over_midnight(read_table, tmp_path, is_newest_first
 def test_times_of_day_that_leave_the_day_open_are_refused(read_table, tmp_path):
     (tmp_path / "events.csv").write_text(MIDNIGHT)
     made = mapping_of(tmp_path / "events.csv")
-    with refused(r"line 9, column 'Heure': '22:10:00,0' stands after '00:00:06,5'.* name the column of dates"):
+    with refused(r"line 9, column 'Heure': '22:10:00,0' comes after '00:00:06,5'.* name the column of dates"):
         read_table(MIDNIGHT, made)
     with refused(r"clock: the format has no day, which zone and begin need"):
         read_table(MIDNIGHT, made.replace('format = "%H', 'zone = "Europe/Paris"\nformat = "%H'))
-    with refused(r"line 2, column 'Heure': '23:59:50,5' has no date; say clock.format, such as \"%H:%M:%S\""):
+    with refused(r"line 2, column 'Heure': '23:59:50,5' has no date; set clock.format, such as \"%H:%M:%S\""):
         read_table(MIDNIGHT, made.replace('format = "%H', '# format = "%H'))
 
 
@@ -84,7 +84,7 @@ def test_dates_and_times_of_day_in_two_columns_below_other_lines(read_table, tmp
     ):
         assert line in made.splitlines()
     made = made.replace('# zone = "Europe', 'zone = "Europe')
-    with refused(r"line 8, column 'Ergebnis': 'i\.O\.' is no number .*say values"):
+    with refused(r"line 8, column 'Ergebnis': 'i\.O\.' is not a number .*set values"):
         read_table(SPLIT, made)
     made = made.replace('# values = {"i.O." = 1.0, "n.i.O." = 1.0}', 'values = {"i.O." = 2, "n.i.O." = -1}')
     logs = read_table(SPLIT, made)
@@ -96,7 +96,7 @@ def test_dates_and_times_of_day_in_two_columns_below_other_lines(read_table, tmp
     ]
     assert ends(logs)[0] == (1, 5.75, "finished", None)
     assert ends(logs)[1][2:] == ("cut", "log ended")
-    with refused(r"line 8, column 'Datum': '' is no part of a time; every row needs one"):
+    with refused(r"line 8, column 'Datum': '' is not part of a time; every row needs one"):
         read_table(SPLIT.replace("04.11.2025;00:00:03.750", ";00:00:03.750"), made)
 
 
@@ -117,7 +117,7 @@ def test_a_stage_begins_and_ends_at_times_of_day_of_one_date(read_table, tmp_pat
         "field = [\"Datum\", \"Ende\"]  # guess: such as '03.11.2025 23:59:48' and '03.11.2025 23:59:53'",
         "begin = [\"Datum\", \"Beginn\"]  # guess: such as '03.11.2025 23:59:40' and '03.11.2025 23:59:50'",
         "field = \"Abbruch\"  # guess: such as 'Not-Halt'",
-        'finished = [""]  # guess: what is no cut; "" where an empty cell is none',
+        'finished = [""]  # guess: endings that are not cuts, "" for an empty cell',
     ):
         assert line in made.splitlines()
     made = made.replace('# zone = "Europe', 'zone = "Europe')
@@ -139,7 +139,7 @@ def test_dates_without_the_times_that_stand_beside_them_are_refused(read_table):
     names = r"clock\.field = \[\"Tag\", \"Uhr\"\]"
     with refused(rf"line 2, column 'Tag': '2025-11-03' has no time of day, and column 'Uhr' has; name both: {names}"):
         read_table(text, mapping)
-    with refused(rf"line 2, column 'Uhr': '10:00:00' has no date; say {names} and clock\.format"):
+    with refused(rf"line 2, column 'Uhr': '10:00:00' has no date; set {names} and clock\.format"):
         read_table(text, mapping.replace('"Tag"', '"Uhr"'))
     text = (
         text.replace("Uhr;", "Uhr;since;")
@@ -169,7 +169,7 @@ def test_a_mark_of_thousands_is_read_where_it_is_said(read_table, cells, layout,
     logs = read_table(text, f"{HISTORIAN}\ntable = {{{layout}}}")
     assert logs.stages["weight"].tolist() == values
     if "." not in cells[0] or "," in cells[0]:
-        with refused(r"is no number of decimal mark .*; mend it, or say table\.thousands = |has a point, yet"):
+        with refused(r"is not a number with decimal mark .*; fix it, or set table\.thousands = |has a point, but"):
             read_table(text, HISTORIAN)
 
 
@@ -184,16 +184,16 @@ def test_a_comma_may_separate_cells_and_stand_in_their_fractions(read_table):
 
 @pytest.mark.parametrize("cell", ["1.23,5", "12.34.567", ".234,5", "1234.567,8", "0.234,5", "1.234,5.6", "1..234"])
 def test_what_is_not_grouped_by_three_is_no_number(read_table, cell):
-    with refused("is no number of decimal mark ','"):
+    with refused("is not a number with decimal mark ','"):
         read_table(GERMAN.replace("1,25", cell), f"{HISTORIAN}\ntable = {{thousands = '.'}}")
-    with refused(r"table\.thousands: it is the mark of fractions, too"):
+    with refused(r"table\.thousands: it is also the decimal mark"):
         read_table(GERMAN, f"{HISTORIAN}\ntable = {{thousands = '.', decimal = '.'}}")
 
 
 @pytest.mark.parametrize("event", ["Gewicht;;0,75", "Griff;Kiste;", "Ablage;;-2,5", "Ende;fertig;"])
 def test_an_event_that_stands_there_twice_counts_once(read_table, event):
     line = next(line for line in GERMAN.splitlines() if line.endswith(event))
-    with pytest.warns(HalfseenWarning, match=r"line \d: it repeats the one before it; such rows are left out: 2"):
+    with pytest.warns(HalfseenWarning, match=r"line \d: it repeats the one before it; such rows are skipped: 2"):
         logs = read_table(GERMAN.replace(line, "\n".join([line] * 3), 1), HISTORIAN)
     assert stages(logs, "weight") == GERMAN_STAGES
     assert ends(logs) == GERMAN_ENDS
@@ -215,7 +215,7 @@ def test_what_stands_after_the_action_of_its_own_time_is_warned_of(read_table):
     early = GERMAN.replace(weight, at_once)
     assert stages(read_table(early, HISTORIAN), "weight") == GERMAN_STAGES
     late = GERMAN.replace(f"{weight}\n{grip}", f"{grip}\n{at_once}")
-    with pytest.warns(HalfseenWarning, match=r"1 values of 'Gewicht' stand at the time of an action, but after it"):
+    with pytest.warns(HalfseenWarning, match=r"1 values of 'Gewicht' have the time of an action, but come after it"):
         found = read_table(late, HISTORIAN)
     assert stages(found, "weight")[1] == (7, 2, 15.0, "Kiste", -2.5, 0.5)
     first = "2025-10-26T02:59:50+02:00;7;Gewicht;;0,5\n"

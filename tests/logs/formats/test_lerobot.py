@@ -137,7 +137,11 @@ def test_what_terminated_says_goes_before_done(tmp_path, truncated):
 def test_done_alone_may_be_a_truncation_and_truncated_alone_no_end(tmp_path):
     found = episodes()
     write_lerobot(tmp_path / "done", found, extra={"next.done": last_of(found, [True] * 3)})
-    with pytest.warns(HalfseenWarning, match=r"every episode ends with next\.done, which LeRobot sets where one was"):
+    with pytest.warns(
+        HalfseenWarning,
+        match=r"every episode ends with next\.done, which LeRobot also sets for "
+        "truncated",
+    ):
         assert endings_of(read_lerobot(tmp_path / "done")) == [FINISHED] * 3
     write_lerobot(tmp_path / "cut", found, extra={"next.truncated": last_of(found, [True, False, True])})
     assert endings_of(read_lerobot(tmp_path / "cut")) == [CUT, UNKNOWN, CUT]
@@ -174,19 +178,19 @@ WRONG = {
         ({"observation__state": [0.1] * 7 + [None]}, r"stage 4: covariate observation\.state is null"),
         ({"next__done": [2] * 8}, r"row 0: next\.done is 2, neither true nor false"),
         ({"ok": [True] * 8}, r"episode 0: step 1 of 3 ends it", StepRules(done="ok")),
-        ({"episode_index": [0, 0, 1, 0, 2, 2, 2, 2]}, r"frames of episode 0 do not stand together"),
+        ({"episode_index": [0, 0, 1, 0, 2, 2, 2, 2]}, r"frames of episode 0 are not adjacent"),
     ],
     lerobot_with: [
         ({}, r"no 'push' for the action among observation\.state", StepRules(action="push")),
         ({}, r"no 't' for the clock", StepRules(clock="t")),
-        ({"lengths": [3, 1, 5]}, r"episode 2: meta/episodes counts 5 frames, and data has 4"),
-        ({"lengths": [3, 1, 4, 2]}, r"episode 3: meta/episodes counts 2 frames, and data has 0"),
-        ({"info": {"total_frames": 9}}, r"total_frames is 9, and data has 8"),
-        ({"info": {"codebase_version": "v2.1"}}, r"codebase_version is 'v2\.1', and v3 is read"),
+        ({"lengths": [3, 1, 5]}, r"episode 2: meta/episodes counts 5 frames, but data has 4"),
+        ({"lengths": [3, 1, 4, 2]}, r"episode 3: meta/episodes counts 2 frames, but data has 0"),
+        ({"info": {"total_frames": 9}}, r"total_frames is 9, but data has 8"),
+        ({"info": {"codebase_version": "v2.1"}}, r"codebase_version is 'v2\.1', but only v3 is read"),
         ({"info": {"fps": 0}}, r"info\.json: it cannot be read .* `\$\.fps`"),
         ({"info": {"features": [1]}}, r"info\.json: it cannot be read .* `\$\.features`"),
         ({"stamps": [0.0, 0.1, 0.9] + [0.0] * 5}, r"frame 2 has the timestamp 0\.9 s, .* it is 0\.2 s"),
-        ({"extra": {"task_index": [7] * 8}, "tasks": ["a"]}, r"there is no task 7"),
+        ({"extra": {"task_index": [7] * 8}, "tasks": ["a"]}, r"a frame has task 7, which is not listed"),
     ],
 }  # fmt: skip
 """By what writes and reads: what is other, what is said of it, and rules."""
@@ -209,7 +213,7 @@ def test_numbers_of_tasks_and_episodes_are_whole_numbers(tmp_path, file, values)
         table = pq.read_table(each)
         other = pa.array(values * table.num_rows, pa.int64() if values == [None] else None)
         pq.write_table(table.set_column(table.column_names.index(column), column, other), each)
-    with refused(rf"{file}: {column} holds \S.*, or null, and no whole numbers; copy the dataset again"):
+    with refused(rf"{file}: {column} holds \S.*or null, not whole numbers; copy the dataset again"):
         read_quietly(tmp_path)
 
 
@@ -218,9 +222,9 @@ def test_a_dataset_that_was_copied_in_part_is_told(tmp_path):
     file, info = tmp_path / "data" / "chunk-000" / "file-001.parquet", tmp_path / "meta" / "info.json"
     content, counted = file.read_bytes(), tmp_path / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
     for harm, told in (
-        (lambda: file.write_bytes(content[: len(content) // 2]), r"file-001\.parquet: it is no whole table"),
+        (lambda: file.write_bytes(content[: len(content) // 2]), r"file-001\.parquet: it is not a complete table"),
         (lambda: pq.write_table(pa.table({"other": [1]}), file), r"file-001\.parquet"),
-        (file.unlink, "episode 2: meta/episodes counts 4 frames, and data has 0"),
+        (file.unlink, "episode 2: meta/episodes counts 4 frames, but data has 0"),
         (counted.unlink, r"there is no chunk-\*/file-\*\.parquet"),
         (lambda: info.write_text(json.dumps([])), "info.json: it cannot be read"),
         (info.unlink, "info.json: it cannot be read"),

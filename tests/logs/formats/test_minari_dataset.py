@@ -78,7 +78,7 @@ def test_a_log_without_numeric_covariates_shows_the_stage(root):
 
 def test_what_halfseen_wrote_is_read_in_part_and_checked(flat):
     write_minari(flat, "pick-v0")
-    with refused(r"'my pick': it is no name of a dataset; call it .namespace/.name-v0", ArgumentError):
+    with refused(r"'my pick': it is not a dataset name; use .namespace/.name-v0", ArgumentError):
         write_minari(flat, "my pick")
     with refused("leave clock, step_s and truncated out", ArgumentError):
         read_minari("pick-v0", step_s=2.0)
@@ -113,7 +113,7 @@ def cartpole(seeds, max_steps=12):
 @pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")  # Minari's own temporary folders
 def test_episodes_of_a_data_collector_are_read_with_steps_as_seconds():
     dataset = cartpole(range(6))
-    with pytest.warns(HalfseenWarning, match="every step counts as 1 s; name what holds it as clock"):
+    with pytest.warns(HalfseenWarning, match="every step counts as 1 s; name it as clock"):
         logs = read_minari(dataset)
     episodes = list(dataset)
     assert logs.num_trajectories == 6

@@ -77,7 +77,7 @@ def test_a_journal_of_version_1_is_read_and_its_holes_stay_holes(tmp_path):
     journal = tmp_path / "logs" / "journal.jsonl"
     lines = journal.read_bytes().splitlines(keepends=True)
     journal.write_bytes(b"".join(b"\0" * len(line) if b"battery" in line else line for line in lines))
-    with pytest.warns(UserWarning, match=r"2 of 7 lines do not check"):
+    with pytest.warns(UserWarning, match=r"2 of 7 lines fail their checksum"):
         assert read_older(tmp_path / "logs").trajectories["cause"].tolist() == ["crash"]
 
 

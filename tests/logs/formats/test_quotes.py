@@ -7,7 +7,7 @@ from halfseen.logs.formats import StepRules, read_csv, read_steps
 from refusals import refused
 
 ROWS = 40
-NEVER_CLOSED = r"line 6: a quote opens a cell here, and none closes it"
+NEVER_CLOSED = r"line 6: a quote opens a cell here and is not closed"
 LIKE_ROWS = r"line 6: a quote opens a cell here that ends in line 20, and each line of it looks like a row"
 MAPPING = """
 clock = {field = "s", unit = "s", since = "trajectory"}

@@ -85,7 +85,7 @@ def test_what_is_read_stays_as_it_is(database):
         "SELECT '' ; DELETE FROM stages; --'",
         "",
     ):
-        with refused("is not one SELECT"):
+        with refused("is not a single SELECT"):
             Queries(query, "SELECT 1")
     with refused():
         read_sql(database, Queries("WITH x AS (SELECT 1) DELETE FROM stages", TWO.trajectories))
@@ -114,24 +114,28 @@ def test_what_is_wrong_is_told_in_one_line(database, monkeypatch):
     monkeypatch.setattr("halfseen.logs.formats.sql_rows.ROWS_AT_ONCE", 1000)
     monkeypatch.setattr("halfseen.logs.formats.sql_rows.MOST_BYTES", 10**5)
     endless = "WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n) SELECT k AS trajectory FROM n"
-    with refused(r"stages: .* gives more than 0 MB"):
+    with refused(r"stages: .* returns more than 0 MB"):
         read_sql(database, Queries(endless, TWO.trajectories))
 
 
 @pytest.mark.parametrize(
     ("url", "told"),
     [
-        ("nowhere", "it is no address of a database; give DIALECT://"),
+        ("nowhere", "it is not a database address; give DIALECT://"),
         ("sqlite://", "it names no file"),
         ("sqlite:///:memory:", "it names no file"),
         ("sqlite:///none.db", r"sqlite:///none\.db: it cannot be read"),
         ("sqlite:///a.db", "file is not a database"),
         ("sqlite:///pipe.db", "it is a pipe"),
         ("sqlite:///.", "it is a folder"),
-        ("nosql://me:hidden@host/cell", r"nosql://me:\*\*\*@host/cell: 'nosql' is no kind of database"),
-        ("postgresql+nodriver://me:hidden@host/cell", r"'postgresql\+nodriver' is no kind of database"),
+        ("nosql://me:hidden@host/cell", r"nosql://me:\*\*\*@host/cell: 'nosql' is not an installed database dialect"),
+        ("postgresql+nodriver://me:hidden@host/cell", r"'postgresql\+nodriver' is not an installed database dialect"),
         ("mysql+pymysql://me:hidden@host/cell", r"its driver pymysql is not installed; run: pip install pymysql"),
-        ("postgresql://me:hidden@host:port/cell", r"postgresql://me:\*\*\*@host:port/cell: it is no address"),
+        (
+            "postgresql://me:hidden@host:port/cell",
+            r"postgresql://me:\*\*\*@host:port/cell: it is not a database "
+            "address",
+        ),
         ("postgresql+psycopg2://me:hid/den@x@host/cell", r"postgresql\+psycopg2://me:\*\*\*@host/cell: "),
         ("mysql+pymysql://me@host/cell?password=hidden", r"me@host/cell\?password=\*\*\*: "),
     ],
@@ -152,9 +156,9 @@ def test_queries_come_from_a_file(tmp_path):
     for content, told in (
         ('stages = "SELECT 1"', "trajectories: it is missing"),
         ("stages = 1\ntrajectories = 2", "stages: expected `str`, got `int`"),
-        ('stages = "DROP x"\ntrajectories = "SELECT 1"', "stages 'DROP x': it is not one SELECT"),
+        ('stages = "DROP x"\ntrajectories = "SELECT 1"', "stages 'DROP x': it is not a single SELECT"),
         ('other = "SELECT 1"', "other: it is unknown; give a SELECT for stages and trajectories, and objects"),
-        ("stages =", "it is no TOML"),
+        ("stages =", "it is not valid TOML"),
     ):
         file.write_text(content)
         with refused(rf"cell\.toml.*{told}"):

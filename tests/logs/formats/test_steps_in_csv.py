@@ -32,7 +32,10 @@ def test_names_keep_the_zeros_before_them(read):
 
 def test_a_text_among_numbers_is_no_category(read):
     assert read("a", "b", "go", "1.5").stages["observation.x"].tolist() == [0.5, 1.5]
-    with refused(r"steps\.csv, row 4, column 'observation\.x': 'NA' is no number, though most cells of the column are"):
+    with refused(
+        r"steps\.csv, row 4, column 'observation\.x': 'NA' is not a number, though most cells of the column "
+        "are"
+    ):
         read("a", "b", "go", "NA")
     with refused(r"trajectory 'b', stage 1: covariate observation\.x is null"):
         read("a", "b", "go", "")

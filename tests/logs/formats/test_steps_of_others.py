@@ -72,7 +72,7 @@ def test_several_files_follow_one_another_and_must_be_of_one_table(tmp_path):
     names = ["e0", "e1", "e2"]
     assert_is(logs, expected(found, [FINISHED, CUT, FINISHED], times_of(found), IN_ROWS, names=names))
     other = write_rows(tmp_path / "c", [{**row, "note": 1} for row in rows])
-    with pytest.raises(HalfseenError, match=r"c\.parquet: its columns are not those of .*a\.parquet \(note\)"):
+    with pytest.raises(HalfseenError, match=r"c\.parquet: its columns differ from those of .*a\.parquet \(note\)"):
         read_steps([files[0], other])
 
 
@@ -116,9 +116,9 @@ def test_structs_are_taken_apart_and_the_rest_is_left_out_and_told(tmp_path):
         logs = read_steps(write_rows(tmp_path / "steps", rows), SECONDS)
     said = " ".join(str(each.message) for each in told)
     for words in (
-        "left out are discount: nobody saw them before the action",
-        "1 rewards other than 0 stand in rows that are is_last, in which nothing was done any more: they are not read",
-        "observation.image (int64 of shape (1001,)): no columns",
+        "left out are discount: they were not known before the action",
+        "1 rewards other than 0 are in rows that are is_last, which hold no action: they are not read",
+        "observation.image (int64 of shape (1001,)): columns",
     ):
         assert words in said
     seen = {f"observation.{name}" for name in ("arm.q_0", "arm.q_1", "arm.x", "lamp", "lit")}
@@ -179,7 +179,7 @@ def test_groups_of_observations_and_named_arrays_are_read(tmp_path):
     rows |= {"observations/arm/q": np.arange(4.0).reshape(2, 2), "observations/lit": [True, False]}
     rows |= {"infos/verb": ["pick", "stop"], "infos/t": [0.5, 2.0], "infos/gain": [3, 4]}
     file = write_arrays(tmp_path / "a.hdf5", rows)
-    with pytest.warns(HalfseenWarning, match=r"left out are actions, rewards, infos/qpos: nobody saw them"):
+    with pytest.warns(HalfseenWarning, match=r"left out are actions, rewards, infos/qpos: they were not known"):
         logs = read_step_arrays(file, StepRules(action="infos/verb", clock="infos/t", reward="infos/gain"))
     assert logs.stages[["action", "reward", "elapsed_s"]].values.tolist() == [["pick", 3.0, 0.5], ["stop", 4.0, 2.0]]
     assert logs.stages["observations/arm/q_1"].tolist() == [1.0, 3.0]
@@ -214,9 +214,9 @@ def large(root, other):
     [
         (linked(lambda _: h5py.SoftLink("/actions")), "rewards is a link"),
         (linked(lambda other: h5py.ExternalLink(str(other), "/actions")), "rewards is a link"),
-        (raw, "rewards stands in another file"),
-        (virtual, "rewards stands in another file"),
-        (circular, "its groups are too many"),
+        (raw, "rewards is stored in another file"),
+        (virtual, "rewards is stored in another file"),
+        (circular, "it has too many groups"),
         (large, "unpacked, it has 64,000 MB"),
     ],
 )
@@ -260,20 +260,20 @@ WRONG = {
         ({"is_first": None, "episode_id": None}, r"no 'is_first' for the beginning of an episode"),
         ({"action": [[0.1, 0.2]] * 5}, r"action holds float64 of shape \(2,\).*discretise"),
         ({"action": [0.5] * 5}, r"action holds float64"),
-        ({"action": LARGE}, r"action is 9223372036854775808, beyond the whole numbers of 64 bits"),
-        ({"episode_id": LARGE}, r"'trajectory' holds .* 64 bits"),
+        ({"action": LARGE}, r"action is 9223372036854775808, beyond 64-bit integers"),
+        ({"episode_id": LARGE}, r"'trajectory' holds .* 64-bit integers"),
         ({"action": [None, 1, 1, 1, 1]}, r"trajectory 'e0', stage 1: the stage is completed, yet its action is null"),
         ({"reward": [None, 1.0, 1.0, 1.0, 1.0]}, r"trajectory 'e0', stage 1: .*reward is nan"),
         ({"reward": [NAN] * 5}, r"trajectory 'e0', stage 1: .*reward is nan"),
         ({"is_last": [NO, YES, YES, NO, YES]}, r"episode 'e1': step 1 of 3 ends it; make two"),
         ({"is_terminal": [YES, YES, NO, NO, NO]}, r"episode 'e0': step 1 of 2 ends it"),
         ({"is_last": [NO] * 5}, r"episode 'e0': its last row terminates it and is not is_last"),
-        ({"is_last": [NO, YES, None, NO, YES]}, r"row 2: is_last is null, neither true nor false; mend it"),
-        ({"is_last": [*"ntnnt"]}, r"row 0: is_last is 'n', neither true nor false; mend it"),
+        ({"is_last": [NO, YES, None, NO, YES]}, r"row 2: is_last is null, neither true nor false; fix it"),
+        ({"is_last": [*"ntnnt"]}, r"row 0: is_last is 'n', neither true nor false; fix it"),
         ({"is_first": [YES, NO, NO, NO, NO]}, r"row 2: is_first is False, yet episode_id is 'e1'"),
         ({"episode_id": None, "is_first": [NO, NO, YES, NO, NO]}, r"row 0: is_first is false"),
-        ({"episode_id": [*"abaaa"], "is_first": [YES, YES, YES, NO, NO]}, r"'a' do not stand"),
-        ({"episode_id": [None, *"bbbb"]}, r"episode_id holds object, or null, and not names"),
+        ({"episode_id": [*"abaaa"], "is_first": [YES, YES, YES, NO, NO]}, r"'a' are not adjacent"),
+        ({"episode_id": [None, *"bbbb"]}, r"episode_id holds object or null, not names"),
         ({"episode_id": [0.5] * 5, "is_first": [YES, NO, NO, NO, NO]}, r"episode_id holds float64"),
         ({"observation": [[1.0], [2.0], [3.0], [4.0], [5.0, 6.0]]}, r"row 4: observation has 2 values"),
         ({"observation": [[NAN, 1.0]] * 5}, r"trajectory 'e0', stage 1: covariate observation_0 is null"),
@@ -281,7 +281,7 @@ WRONG = {
         ({"observation": [{"a": 1.0}] * 5, "observation.a": [2.0] * 5}, r"two columns 'observation\.a'; drop or"),
         ({"episode_id": [*"abccc"], "is_first": [YES, YES, YES, NO, NO], "is_last": [YES, YES, NO, NO, YES],
           "is_terminal": [YES, YES, NO, NO, NO]},
-         r"'a': it has no step, as its only row is is_last.* in 2 of 3 episodes; if the ending stands in the row of"),
+         r"'a': it has no step, as its only row is is_last.* of 2 of 3 episodes; if the ending stands in the row of"),
     ],
     arrays_with: [
         ({"rewards": None}, r"no 'rewards' for the reward among actions, next_observations"),
@@ -302,7 +302,7 @@ WRONG = {
 """By what writes and reads: what is other, what is said of it, and rules that say more than how long a step is."""
 
 
-@pytest.mark.filterwarnings("ignore:.*nothing was done any more:halfseen.errors.HalfseenWarning")
+@pytest.mark.filterwarnings("ignore:.*which hold no action:halfseen.errors.HalfseenWarning")
 @pytest.mark.parametrize(("make", "case"), [(make, case) for make, cases in WRONG.items() for case in cases])
 def test_what_is_wrong_is_told_in_one_line(tmp_path, make, case):
     other, told, *rules = case
@@ -313,7 +313,7 @@ def test_what_is_wrong_is_told_in_one_line(tmp_path, make, case):
 
 def test_a_table_without_rows_is_told(tmp_path):
     (tmp_path / "steps.csv").write_text("is_first,is_last,is_terminal,observation.x,action,reward\n")
-    with pytest.raises(HalfseenError, match=r"steps\.csv: there is no row; give a table"):
+    with pytest.raises(HalfseenError, match=r"steps\.csv: there are no rows; give a table"):
         read_steps(tmp_path / "steps.csv")
 
 

@@ -180,20 +180,20 @@ def test_each_loss_is_named_with_its_column():
     tables["trajectories"] = tables["trajectories"].assign(**more)
     logs = Logs(**tables)
     in_csv, in_minari = (losses(logs, form) for form in ("csv", "minari"))
-    told = "holds struct<x: double>, which has no form as text; drop it or turn it into numbers, text, times or lists"
+    told = "holds struct<x: double>, which cannot be written as text; drop it, or convert it to numbers"
     assert str(in_csv[0]).startswith(f"stages: column 'pose' {told}")
     assert [loss.table for loss in in_csv] == ["stages", "trajectories", "trajectories", "trajectories"]
     assert [loss.column for loss in in_csv] == ["pose", "raw", "serial", "two\nlines"]
     found = [(loss.column, loss.is_refused) for loss in in_minari]
     assert found == [("pose", True), ("raw", True), ("serial", False)]
-    assert "comes back as pandas keeps such values, not as int32[pyarrow]" in str(in_minari[2])
+    assert "is read back as pandas stores such values, not as int32[pyarrow]" in str(in_minari[2])
     assert losses(logs, "parquet") == []
-    with refused("form 'xml': it is none of parquet, csv, minari", ArgumentError):
+    with refused("form 'xml': choose among parquet, csv, minari", ArgumentError):
         losses(logs, "xml")
     # A log without a completed stage.
     logs = Logs(**small_tables()).select([3])
     assert [str(loss) for loss in losses(logs, "minari")] == [
-        "stages: none was completed, so that Minari would have no step; record longer, or write Parquet"
+        "stages: no stage was completed, so Minari would have no step; record longer, or write Parquet"
     ]
     assert losses(logs, "csv") == []
 

@@ -72,7 +72,7 @@ def until_it_is_taken(on_refusal, call, *given, **named):
         try:
             call(*given, **named)
         except LogError as error:
-            assert re.search(r"cannot be written \(.* give it again; all before it is kept", str(error))  # noqa: PT017
+            assert re.search(r"cannot be written \(.* give it again; all earlier events are kept", str(error))  # noqa: PT017
             told.append(str(error))
             on_refusal()
         else:
@@ -118,7 +118,7 @@ def test_a_disk_that_is_full_for_a_while_loses_nothing_that_was_taken(tmp_path):
             make_room()
 
         (told,) = record_all(recorder, 1, 40, on_refusal, seen="z" * 600)
-    assert re.search(r"\((File too large|.*bytes fitted)\); make room and give it again", told)
+    assert re.search(r"\((File too large|.*bytes were written)\); make room and give it again", told)
     assert 10 < num_kept[0] < 40
     check_all(tmp_path, 1, 40)
 
@@ -181,7 +181,7 @@ def goes_on(folder, whole, content, *, num_above=2, warns=catch_warnings):
     """Read a harmed journal and go on with it: nothing is lost that was not harmed. None if it is none any more."""
     (folder / JOURNAL).write_bytes(content)
     with warns():
-        logs = logs_or_none(folder, "none of its lines checks")
+        logs = logs_or_none(folder, "all its lines fail their checksum")
     if logs is None:
         return None
     assert intact(whole, content, num_above) <= finished(logs)
@@ -204,7 +204,7 @@ def quiet():
 @contextmanager
 def told():
     """Each reading tells of lines that do not check once, in one line."""
-    with pytest.warns(HalfseenWarning, match="lines do not check and are left out") as caught:
+    with pytest.warns(HalfseenWarning, match="lines fail their checksum and are left out") as caught:
         yield
     assert all("\n" not in str(each.message) for each in caught)
 

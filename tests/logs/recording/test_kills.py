@@ -61,7 +61,7 @@ def recording_child(folder):
 
 
 def recovered(folder):
-    logs = logs_or_none(folder, "there is no such folder", "holds no logs")
+    logs = logs_or_none(folder, "no such folder", "holds no logs")
     return {} if logs is None else as_recorded(logs)
 
 

@@ -64,19 +64,19 @@ def test_lines_record_what_the_calls_would(tmp_path):
 
 BAD = {
     "finish: no trajectory has begun; begin_trajectory first": b'{"call": "finish"}\n',
-    "is no JSON": b"nonsense\n",
+    "is not valid JSON": b"nonsense\n",
     "it is nested too deep|no JSON": b"[" * 100_000 + b"\n",
-    "names no call": b"[1]\n",
+    "has no call": b"[1]\n",
     "call.*one of begin_trajectory": b'{"call": 1}\n',
     "did you mean 'complete_stage'": b'{"call": "complete_stag"}\n',
     "takes no 'rewrd'": b'{"call": "complete_stage", "rewrd": 1}\n',
     "complete_stage needs reward": b'{"call": "complete_stage", "reward": null}\n',
-    "NaN is no number": b'{"call": "complete_stage", "reward": NaN}\n',
+    "NaN is not a number": b'{"call": "complete_stage", "reward": NaN}\n',
     "reward is inf": b'{"call": "complete_stage", "reward": 1e999, "elapsed_s": 2.0}\n',
     "'reward' is given twice": b'{"call": "complete_stage", "reward": 1, "reward": 2}\n',
     "longer than": b'{"call": "complete_stage", "reward": "' + b"9" * (2 * MOST_BYTES + 5) + b'"}\n',
-    "no JSON .*utf-8": b'{"call": "cut", "cause": "\xff"}\n',
-    "columns are no JSON object": b'{"call": "begin_trajectory", "columns": [1]}\n',
+    "not valid JSON .*utf-8": b'{"call": "cut", "cause": "\xff"}\n',
+    "columns are not a JSON object": b'{"call": "begin_trajectory", "columns": [1]}\n',
     "own_rewards is 5": b'{"call": "complete_stage", "reward": 1, "own_rewards": 5}\n',
     "objects is 5": b'{"call": "begin_stage", "covariates": {"x": 0.5, "seen": []}, "objects": 5, "action": "A"}\n',
     "is in progress": b'{"call": "begin_trajectory"}\n',
@@ -167,7 +167,7 @@ def test_a_browser_is_turned_away_before_what_it_posts_is_read(served, tmp_path)
     posted = as_lines([TRAJECTORY[0], {"call": "begin_stage", "action": "A"}])
     with connected() as client:
         client.sendall(b"POST / HTTP/1.1\r\nHost: x\r\n\r\n" + posted)
-        assert b"is no JSON" in client.recv(1000)
+        assert b"is not valid JSON" in client.recv(1000)
     assert has_gone()
     with pytest.raises(LogError, match="no stage is recorded yet"):
         read_logs(tmp_path / "logs")
@@ -177,7 +177,7 @@ def test_a_socket_that_is_taken_is_refused_and_one_left_behind_is_not(tmp_path):
     file = tmp_path / "socket"
 
     def refused():
-        with pytest.raises(ArgumentError, match="nobody can listen there"), listening(file):
+        with pytest.raises(ArgumentError, match="it cannot be listened on"), listening(file):
             pass
 
     with listening(file):

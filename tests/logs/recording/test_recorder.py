@@ -165,7 +165,7 @@ def test_what_each_robot_brought_is_read_back_and_is_null_where_a_stage_was_cut(
         trajectory = recorder.begin_trajectory()
         begin(trajectory)
         # It is told when it is given, and the stage may still be completed.
-        with pytest.raises(LogError, match="own_rewards has 0 numbers, and the stages before it have 2"):
+        with pytest.raises(LogError, match="own_rewards has 0 numbers, but the stages before it have 2"):
             trajectory.complete_stage(3.0, elapsed_s=1.0)
         with pytest.raises(LogError, match="1_reward is nan"):
             trajectory.complete_stage(3.0, elapsed_s=1.0, own_rewards=[1.0, float("nan")])
@@ -229,7 +229,7 @@ def test_one_recorder_at_a_time_and_a_fork_neither_records_nor_lets_the_lock_go(
         finally:
             os._exit(status)
     assert os.waitpid(child, 0)[1] == 0
-    with pytest.raises(ArgumentError, match=r"another recorder.*there is nothing to remove after a crash"):
+    with pytest.raises(ArgumentError, match=r"another recorder.*nothing needs removing after a crash"):
         LogRecorder(tmp_path)
     step(trajectory)
     recorder.close()
@@ -388,7 +388,7 @@ def test_a_flag_of_missing_values_may_come_now_and_then_if_it_is_a_number_or_a_t
             seen = {"x": 0.5} | ({"x_missing": flag} if stage == 2 else {})
             if stage == 2 and read is None:
                 # With nothing to stand where it is not, the log could not be read.
-                with refused("covariate x_missing was not there before", LogError):
+                with refused("covariate x_missing was not given before", LogError):
                     trajectory.begin_stage(seen, action="A")
                 del seen["x_missing"]
             trajectory.begin_stage(seen, action="A")

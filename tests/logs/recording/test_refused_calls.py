@@ -12,7 +12,7 @@ from valid_logs import small_tables
 
 NAN, INF = float("nan"), float("inf")
 CUP = {"object": "cup", "occlusion": np.float32(0.5), "hidden_by": np.array([])}
-TEXTS = {"NUL": "a\0", "is no Unicode text": "\ud800"}
+TEXTS = {"NUL": "a\0", "is not Unicode text": "\ud800"}
 """Texts that files do not tell apart."""
 
 
@@ -29,17 +29,17 @@ ALONE = {
     "elapsed_s 1.0 is still the 1.0": lambda trajectory: step(trajectory, 1.0),
     "elapsed_s is inf": lambda trajectory: step(trajectory, np.inf),
     "elapsed_s is missing": lambda trajectory: step(trajectory),
-    "is a date or no seconds": lambda trajectory: step(trajectory, 1.7e9),
+    "is a date, or not in seconds": lambda trajectory: step(trajectory, 1.7e9),
     "stage 1 is completed already": lambda trajectory: trajectory.complete_stage(0.0, elapsed_s=2.0),
     "stage 2: it is in progress": lambda trajectory: (begin(trajectory), begin(trajectory)),
     "stage 2 is in progress; complete it before finish": lambda trajectory: (begin(trajectory), trajectory.finish()),
     "as if units were mixed": lambda trajectory: trajectory.finish(elapsed_s=1000.0),
-    "cause '' is no cause": lambda trajectory: trajectory.cut(""),
+    "cause '' is not a cause": lambda trajectory: trajectory.cut(""),
     "it began without an action": lambda trajectory: step(trajectory, 2.0, action=None),
     "object or probability is given without action": lambda trajectory: begin(trajectory, action=None, probability=0.5),
     "probability is given, unlike": lambda trajectory: begin(trajectory, probability=0.5),
     "action 1 is a number": lambda trajectory: begin(trajectory, action=1),
-    "action True is no name": lambda trajectory: begin(trajectory, action=True),
+    "action True is not a name": lambda trajectory: begin(trajectory, action=True),
     "it has objects, though": lambda trajectory: begin(trajectory, objects=[{"object": 1}]),
     "objects is empty": lambda trajectory: begin(trajectory, objects=[]),
     "covariates are a list": lambda trajectory: begin(trajectory, covariates=[1.0]),
@@ -47,16 +47,20 @@ ALONE = {
     "covariate x is inf": lambda trajectory: begin(trajectory, covariates={"x": np.inf}),
     "covariate x is None": lambda trajectory: begin(trajectory, covariates={"x": None}),
     "covariate x is a text": lambda trajectory: begin(trajectory, covariates={"x": "far"}),
-    "covariate x is no flat list": lambda trajectory: begin(trajectory, covariates={"x": np.zeros((2, 2))}),
+    "covariate x is not a flat list": lambda trajectory: begin(trajectory, covariates={"x": np.zeros((2, 2))}),
     "covariate x is a whole number of": lambda trajectory: begin(trajectory, covariates={"x": 10**400}),
     "covariate x is {'y'": lambda trajectory: begin(trajectory, covariates={"x": {"y": "z" * 10_000}}),
     "covariate x is 9223372036854775808": lambda trajectory: begin(trajectory, covariates={"x": 2**63}),
     "covariate x is missing": lambda trajectory: begin(trajectory, covariates={}),
-    "covariate y was not there": lambda trajectory: begin(trajectory, covariates={"x": 1.0, "y": 1.0}),
-    "'reward' is a name of the log's own": lambda trajectory: begin(trajectory, covariates={"x": 1.0, "reward": 1.0}),
-    "'robot' is a name of the log's own": lambda trajectory: begin(trajectory, covariates={"x": 0.0, "robot": 1}),
-    "' Cause' is a name of the log's own": lambda trajectory: begin(trajectory, covariates={"x": 1.0, " Cause": 1.0}),
-    "'0_reward' is a name of the log's own": lambda trajectory: begin(
+    "covariate y was not given": lambda trajectory: begin(trajectory, covariates={"x": 1.0, "y": 1.0}),
+    "'reward' is a reserved column of the log": lambda trajectory: begin(
+        trajectory, covariates={"x": 1.0, "reward": 1.0}
+    ),
+    "'robot' is a reserved column of the log": lambda trajectory: begin(trajectory, covariates={"x": 0.0, "robot": 1}),
+    "' Cause' is a reserved column of the log": lambda trajectory: begin(
+        trajectory, covariates={"x": 1.0, " Cause": 1.0}
+    ),
+    "'0_reward' is a reserved column of the log": lambda trajectory: begin(
         trajectory, covariates={"x": 1.0, "0_reward": 1.0}
     ),
     r"begin_stage\(\) with its robot first": lambda trajectory: (begin(trajectory), trajectory.drop_out(0, "battery")),
@@ -64,9 +68,11 @@ ALONE = {
 """Of a trajectory whose first stage was completed at 1 s."""
 
 OBJECTS = {
-    "object 'cup': it is there twice": lambda trajectory: cups(trajectory, objects=[CUP, CUP]),
+    "object 'cup': it is listed twice": lambda trajectory: cups(trajectory, objects=[CUP, CUP]),
     "has no name": lambda trajectory: cups(trajectory, objects=[{"occlusion": 0.5}]),
-    "object 1 is a number, those before are text": lambda trajectory: cups(trajectory, objects=[CUP | {"object": 1}]),
+    "object 1 is a number, but earlier ones are text": lambda trajectory: cups(
+        trajectory, objects=[CUP | {"object": 1}]
+    ),
     "object 'cup': covariate occlusion is missing": lambda trajectory: cups(trajectory, objects=[{"object": "cup"}]),
     "it has no objects, though": lambda trajectory: cups(trajectory, objects=None),
     "object 'cup' of the action is not among the objects": lambda trajectory: cups(
@@ -87,15 +93,15 @@ ROBOTS = {
         trajectory.complete_stage(0.0, elapsed_s=0.5),
     ),
     "stage 2: robot is missing, unlike in stages before": lambda trajectory: of_robot(trajectory, None, 1),
-    "robot 'left' is a text, those before are number": lambda trajectory: of_robot(trajectory, "left", 1),
+    "robot 'left' is a text, but earlier ones are number": lambda trajectory: of_robot(trajectory, "left", 1),
     (
-        "stage 2: robot 1 begins with object 0, which robot 0 is at since stage 1; mend robot or object"
+        "stage 2: robot 1 starts on object 0, on which robot 0 has worked since stage 1; fix robot or object"
     ): lambda trajectory: (
         of_robot(trajectory, 1, 0),
         trajectory.complete_stage(0.0, elapsed_s=2.0),
         of_robot(trajectory, 0, 2),
     ),
-    "robot 0 has dropped out before": lambda trajectory: [
+    "robot 0 has already dropped out": lambda trajectory: [
         trajectory.drop_out(0, "battery", elapsed_s=s) for s in (1.5, 1.7)
     ],
     r"stage 2: elapsed_s 1\.2 is before the 1\.5 of the event before": lambda trajectory: (
@@ -110,12 +116,12 @@ ROBOTS = {
         of_robot(trajectory, 0, 2),
     ),
     **{
-        f"robot {robot!r} is no number of one": lambda trajectory, robot=robot: trajectory.drop_out(
+        f"robot {robot!r} is not a robot's number": lambda trajectory, robot=robot: trajectory.drop_out(
             robot, "battery", elapsed_s=2.0
         )
         for robot in (-1, True, "left", 0.5)
     },
-    "is no cause": lambda trajectory: trajectory.drop_out(1, "", elapsed_s=2.0),
+    "is not a cause": lambda trajectory: trajectory.drop_out(1, "", elapsed_s=2.0),
 }
 """Of a trajectory whose robot 0 is at object 0 and decided that by 1 s."""
 
@@ -146,7 +152,7 @@ def test_trajectories_that_no_log_takes_are_refused(recorder, tmp_path):
     with refused("no stage is recorded yet", LogError):
         read_logs(tmp_path / "logs")
     for name in ("Object", "0_out_s", "1_out_cause"):
-        with refused(f"'{name}' is a name of the log's own", LogError):
+        with refused(f"'{name}' is a reserved column of the log", LogError):
             recorder.begin_trajectory(**{name: 1.0})
     trajectory = recorder.begin_trajectory("a")
     for told, call in {
@@ -162,7 +168,7 @@ def test_trajectories_that_no_log_takes_are_refused(recorder, tmp_path):
             trajectory.finish(),
             trajectory.cut("operator"),
         ),
-        "trajectory 7 is a number, those before are text": lambda: recorder.begin_trajectory(7),
+        "trajectory 7 is a number, but earlier ones are text": lambda: recorder.begin_trajectory(7),
     }.items():
         with refused(told, LogError):
             call()
@@ -253,7 +259,7 @@ def test_what_is_asked_for_must_be_there_and_what_is_there_is_left_alone(tmp_pat
             LogRecorder(tmp_path / name)
     other_version = journal_line(HEADER | {"version": 9}, 0)[0]
     for content, told in (
-        (b"milk\neggs\n", "none of its lines checks"),
+        (b"milk\neggs\n", "all its lines fail their checksum"),
         (other_version, r"line 1:.*read it with the halfseen that wrote it"),
     ):
         (tmp_path / JOURNAL).write_bytes(content)

@@ -51,8 +51,8 @@ def column_type(table: str, frame: pd.DataFrame, column: str) -> ColumnType:
     kind = type_name(pa.array(values, from_pandas=True).type)
     if kind is None:
         raise LogError(
-            f"{table}: column {column!r} holds {pa.array(values, from_pandas=True).type}, which has no form as text; "
-            "drop it or turn it into numbers, text, times or lists of these"
+            f"{table}: column {column!r} holds {pa.array(values, from_pandas=True).type}, which cannot be written as "
+            "text; drop it, or convert it to numbers, text, times or lists of these"
         )
     return kind
 
@@ -119,7 +119,9 @@ def arrow_type(name: str) -> pa.DataType:
         return pa.timestamp(found[1], found[2])
     if kind := (_PLAIN | _TIMES).get(name):
         return kind
-    raise ValueError(f"type {name!r} is unknown; there are {', '.join([*_PLAIN, *_TIMES, 'timestamp[us]', 'list<…>'])}")
+    raise ValueError(
+        f"type {name!r} is unknown; choose among {', '.join([*_PLAIN, *_TIMES, 'timestamp[us]', 'list<…>'])}"
+    )
 
 
 def type_name(kind: pa.DataType) -> str | None:
@@ -211,7 +213,7 @@ def losses(logs: Logs, form: str) -> list[Loss]:
         The format is unknown.
     """
     if form not in (PARQUET, CSV, MINARI):
-        raise ArgumentError(f"form {form!r}: it is none of {PARQUET}, {CSV}, {MINARI}; choose one")
+        raise ArgumentError(f"form {form!r}: choose among {PARQUET}, {CSV}, {MINARI}")
     if form == PARQUET:
         return []
     columns = [(table, column) for table, frame in logs.tables.items() for column in frame.columns]
@@ -221,7 +223,7 @@ def losses(logs: Logs, form: str) -> list[Loss]:
         trouble = "has a name that is not one line; rename it"
         found += [Loss(table, column, trouble, True) for table, column in columns if len(column.splitlines()) != 1]
     if form == MINARI and not logs.stages["elapsed_s"].notna().to_numpy().any():
-        trouble = "none was completed, so that Minari would have no step; record longer, or write Parquet"
+        trouble = "no stage was completed, so Minari would have no step; record longer, or write Parquet"
         found.append(Loss("stages", None, trouble, is_refused=True))
     null = missing_in(logs.stages, logs.stage_covariates) if form == MINARI else {}
     remedy = "fill it in, and write that: read_logs(LOGS, missing='median+flag')"
@@ -252,5 +254,5 @@ def _lost_as_text(table: str, frame: pd.DataFrame, column: str) -> Loss | None:
         return Loss(table, column, str(error).partition(f"column {column!r} ")[2], is_refused=True)
     dtype: Any = frame[column].dtype
     if isinstance(dtype, pd.ArrowDtype):
-        return Loss(table, column, f"comes back as pandas keeps such values, not as {dtype}", is_refused=False)
+        return Loss(table, column, f"is read back as pandas stores such values, not as {dtype}", is_refused=False)
     return None

@@ -46,7 +46,7 @@ class Recorded(NamedTuple):
 def opened_bag(bag: Path) -> Iterator[Any]:
     """Open a bag, a folder or a storage file, as a reader with ``channels``; a broken bag is refused."""
     if not bag.exists():
-        raise LogError(f"{bag}: there is no such bag; give the folder that `ros2 bag record` wrote, or its .mcap file")
+        raise LogError(f"{bag}: no such bag; give the folder that `ros2 bag record` wrote, or its .mcap file")
     files = [bag]
     if bag.is_dir() and not (bag / "metadata.yaml").exists():  # the recorder died before it wrote that
         files = sorted(file for file in bag.iterdir() if file.suffix in STORAGES)
@@ -65,13 +65,13 @@ def opened_bag(bag: Path) -> Iterator[Any]:
                 reader = _RosBag(files)
                 stack.callback(reader.close)
             if not all(isinstance(word, str) for each in reader.channels for word in (each.topic, each.kind)):
-                raise ValueError("a topic has a name or a type that is no text")
+                raise ValueError("a topic has a name or a type that is not text")
         yield reader
 
 
 def _whole(bag: Path) -> Any:
-    remedy = "mend it with `ros2 bag reindex` or `mcap recover`, then convert again"
-    return refused(bag, "it is no whole bag", remedy, passed=(HalfseenError,))
+    remedy = "repair it with `ros2 bag reindex` or `mcap recover`, then convert again"
+    return refused(bag, "it is not a complete bag", remedy, passed=(HalfseenError,))
 
 
 def messages_of(bag: Path, reader: Any, channels: list[Channel]) -> Iterator[Recorded]:
@@ -79,7 +79,7 @@ def messages_of(bag: Path, reader: Any, channels: list[Channel]) -> Iterator[Rec
     with _whole(bag):
         for message in reader.messages(channels) if channels else ():
             if not isinstance(message.log_ns, int):
-                raise ValueError("the time stamp of a message is no whole number")
+                raise ValueError("the timestamp of a message is not a whole number")
             yield message
 
 
@@ -178,9 +178,11 @@ def _unpacked(chunk: Any) -> bytes:
     elif chunk.compression == "":
         data = chunk.data
     else:
-        raise ValueError(f"a chunk is packed by {chunk.compression[:40]!r}, and zstd, lz4 and none are known")
+        raise ValueError(
+            f"a chunk is compressed by {chunk.compression[:40]!r}; zstd, lz4 and no compression are supported"
+        )
     if len(data) != size:
-        raise ValueError(f"a chunk says that it has {size} bytes unpacked, and has other than that")
+        raise ValueError(f"a chunk says that it has {size} bytes uncompressed, but has another number")
     return data
 
 
@@ -211,11 +213,11 @@ def _decoder(schema: Any, encoding: str) -> Callable[[bytes], Any]:
     if encoding == "protobuf":
         decode = extra("mcap_protobuf.decoder", "mcap").DecoderFactory().decoder_for(encoding, schema)
         if decode is None:
-            raise ValueError("a channel of protobuf has no schema of protobuf")
+            raise ValueError("a protobuf channel has no protobuf schema")
         return lambda content: _plain(decode(content))
     if encoding == "cdr" and schema is not None:
         return _of_ros(schema)
-    raise ValueError(f"messages are of encoding {encoding[:40]!r}, and {', '.join(ENCODINGS)} are known")
+    raise ValueError(f"messages are of encoding {encoding[:40]!r}, but only {', '.join(ENCODINGS)} are supported")
 
 
 def _of_ros(schema: Any) -> Callable[[bytes], Any]:
@@ -229,7 +231,7 @@ def _of_ros(schema: Any) -> Callable[[bytes], Any]:
         )
         types = {name: kind for part in parts for name, kind in typesys.get_types_from_idl(part).items()}
     else:
-        raise ValueError(f"the schema of {schema.name[:80]} is of {schema.encoding[:40]!r}, no form of ROS 2")
+        raise ValueError(f"the schema of {schema.name[:80]} is of {schema.encoding[:40]!r}, not an encoding of ROS 2")
     store = typesys.get_typestore(typesys.Stores.EMPTY)
     store.register(types)
     return lambda content: store.deserialize_cdr(content, schema.name)

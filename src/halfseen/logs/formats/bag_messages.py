@@ -62,8 +62,8 @@ def check_topics(bags: list[Path], mapping: BagMapping) -> None:
         if source.topic not in types:
             there = ", ".join(topic[:80] for topic in sorted(types)[:20]) or "none"
             raise ArgumentError(
-                f"{mapping.file}, {key}.topic: there is no topic {source.topic!r} in "
-                f"{', '.join(map(str, bags))}; there are {there}; give a bag that broke off early together with others"
+                f"{mapping.file}, {key}.topic: there is no topic {source.topic!r} in {', '.join(map(str, bags))}; "
+                f"there are {there}; convert a bag that ended early together with others"
             )
     cloud = mapping.cloud
     if cloud is not None and types[cloud.topic] != POINT_CLOUD:
@@ -181,7 +181,7 @@ def points_of(message: Any, where: str) -> tuple[Float[np.ndarray, "n 3"], tuple
     fields = {entry.name: entry for entry in message.fields}
     kinds = {axis: _FLOATS.get(fields[axis].datatype) for axis in "xyz" if axis in fields}
     if len(kinds) < 3 or None in kinds.values():
-        raise LogError(f"{where}: its fields {', '.join(fields)} have no x, y and z of floats; record coordinates [m]")
+        raise LogError(f"{where}: its fields {', '.join(fields)} lack x, y and z as floats; record coordinates [m]")
     rows, columns = int(message.height), int(message.width)
     data = np.asarray(message.data, dtype=np.uint8)
     if len(data) != rows * message.row_step or columns * message.point_step > message.row_step:
@@ -209,7 +209,7 @@ def _stamp(message: Any, recorded: Recorded, mapping: BagMapping) -> int:
         return recorded.log_ns
     if mapping.clock == "publish":
         if recorded.publish_ns is None:
-            raise ArgumentError(f'{where} is of a bag that does not say when it was sent; say clock = "log"')
+            raise ArgumentError(f'{where} comes from a bag without send times; set clock = "log"')
         return recorded.publish_ns
     stamp = _part(_part(message, "header"), "stamp")
     seconds, rest_ns = (
@@ -217,7 +217,7 @@ def _stamp(message: Any, recorded: Recorded, mapping: BagMapping) -> int:
         for names in (_SECONDS, _NANOSECONDS)
     )
     if not isinstance(seconds, int | np.integer) or not isinstance(rest_ns, int | np.integer):
-        raise ArgumentError(f'{where} has no header.stamp; say clock = "log"')
+        raise ArgumentError(f'{where} has no header.stamp; set clock = "log"')
     return int(seconds) * 10**9 + int(rest_ns)
 
 
@@ -234,7 +234,9 @@ def _value(message: Any, key: str, source: Source, where: str) -> Any:
         value = _entered(value, step, source.field, where)
     value = value.item() if isinstance(value, np.generic) else value
     if not isinstance(value, str | bool | int | float):
-        raise ArgumentError(f"{where}, field {source.field!r} is no single value; name {_inside(value, source.field)}")
+        raise ArgumentError(
+            f"{where}, field {source.field!r} is not a single value; name {_inside(value, source.field)}"
+        )
     _check_kind(value, key, f"{where}, field {source.field!r} is {value!r}")
     return value
 
@@ -267,7 +269,7 @@ def _inside(value: Any, path: str) -> str:
 def _check_kind(value: Any, key: str, what: str) -> None:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if key in ("reward", "probability") and not is_number:
-        raise ArgumentError(f"{what}, no number; name another field")
+        raise ArgumentError(f"{what}, not a number; name another field")
     is_name = isinstance(value, str) or (isinstance(value, int) and is_number)
     if key in ("action", "object", "trajectory") and not is_name:
         raise ArgumentError(f"{what}, neither text nor a whole number; name another field")

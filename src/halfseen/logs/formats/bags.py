@@ -81,7 +81,7 @@ def read_bag(
     """
     mapping = mapping if isinstance(mapping, BagMapping) else read_mapping(mapping)
     if mapping.cloud is None and (see is not None or keep is not None):
-        raise ArgumentError(f"{mapping.file}, cloud: it is missing, so that no cloud is seen or kept; name its topic")
+        raise ArgumentError(f"{mapping.file}, cloud: it is missing, so no cloud is read or stored; name its topic")
     files = [Path(bags)] if isinstance(bags, str | Path) else [Path(bag) for bag in bags]
     check_topics(files, mapping)
     needed = {name: source.topic for name, source in mapping.covariates.items()}
@@ -124,7 +124,7 @@ def logs_of(
         There are no trajectories, or they violate an invariant.
     """
     if not found:
-        raise LogError(f"{place}: no trajectory with a stage was found; look at [trajectory] in {mapping}")
+        raise LogError(f"{place}: no trajectory with a stage was found; check [trajectory] in {mapping}")
     ends = {key: [getattr(each, key) for each in found] for key in ("end_s", "ending", "cause")}
     trajectories = {"trajectory": [each.name for each in found], **ends, **known}
     stages = [
@@ -151,7 +151,7 @@ def split(
         for event in _deeds(events[: min(at, default=len(events))]):
             raise LogError(
                 f"{bag}: {event.key} {shown(event.value)} comes after the clock was reset and before a message of "
-                f"{begin_topic}; record the beginning after the reset, or say clock = 'log' in {mapping}"
+                f"{begin_topic}; record the beginning after the reset, or set clock = 'log' in {mapping}"
             )
     for events, at in zip(runs, begins, strict=True):
         for begin, end in pairwise([*at, len(events)]):

@@ -114,7 +114,7 @@ def _read_manifest(file: Path) -> Manifest:
     if not file.exists():
         return Manifest(FORMAT, VERSION, {})
     trouble = f"it is not of format {FORMAT!r}, version {VERSION}"
-    with refused(file, trouble, "mend it, or remove it and let types be guessed"):
+    with refused(file, trouble, "fix it, or remove it to have types guessed"):
         manifest = msgspec.convert(json_of(read_text(file)), Manifest)
     for table, types in manifest.tables.items():
         for column, kind in types.items():
@@ -129,7 +129,7 @@ def _check_type(place: str, kind: Any) -> None:
         from_texts([], kind)
     except _WRONG as error:
         raise LogError(
-            f"{place} is {shown(kind)}, which is no type ({error}); mend it, or leave the column out"
+            f"{place} is {shown(kind)}, which is not a type ({error}); fix it, or leave the column out"
         ) from error
 
 
@@ -141,17 +141,19 @@ def _read_table(file: Path, types: dict[str, ColumnType]) -> pd.DataFrame:
 
 def _read_cells(file: Path) -> pa.Table:
     """Read every cell as text; only an empty cell without quotes is null."""
-    remedy, missing = "mend or export it again", "it is missing; logs as CSV need stages.csv and trajectories.csv"
-    with refused(file, "it is no CSV file of one table", remedy, missing):
+    remedy, missing = "fix it, or export it again", "it is missing; logs as CSV need stages.csv and trajectories.csv"
+    with refused(file, "it is not a CSV file of one table", remedy, missing):
         with opened_text(file, TABLE) as lines:
             header = next(csv.reader(lines), [])
             lines.seek(0)
             check_quotes(file, lines, on_rows=warn)
         if len(header) == 1 and ";" in header[0]:
-            raise LogError(f"{file}: its cells are separated by ';'; export it with commas, and points in numbers")
+            raise LogError(
+                f"{file}: its cells are separated by ';'; export it with commas between cells and points in numbers"
+            )
         broken = [name for name in header if len(name.splitlines()) > 1]
         if broken:
-            raise LogError(f"{file}: the column {broken[0]!r} has a name of two lines; give it one")
+            raise LogError(f"{file}: the column {broken[0]!r} has a name of two lines; put it on one line")
         if "" in map(str.strip, header):
             trouble = f"column {[*map(str.strip, header)].index('') + 1} has no name"
             raise LogError(f"{file}: {trouble}; name it, or leave it out if it only numbers the rows")
@@ -179,8 +181,8 @@ def _column(file: Path, name: str, cells: Any, kind: ColumnType | None) -> Any:
     except _WRONG as error:
         row = _first_wrong(cells, kind)
         raise LogError(
-            f"{_place(file, name, row)}: {shown(cells[row].as_py())} is no {kind}; mend the cell, or leave it empty if "
-            "there is no value"
+            f"{_place(file, name, row)}: {shown(cells[row].as_py())} is not of type {kind}; fix the cell, or leave "
+            "it empty if there is no value"
         ) from error
 
 
@@ -204,7 +206,7 @@ def _guessed_type(file: Path, name: str, cells: Any) -> ColumnType:
     if all(cell.startswith("[") for cell in different):
         return list_type(different) or "string"
     if name not in OWN_NAMES:
-        refuse_text_among_numbers(file, name, cells, f", or say 'string' for the column in {TYPES_FILE}")
+        refuse_text_among_numbers(file, name, cells, f", or set the column to 'string' in {TYPES_FILE}")
     return "string"
 
 
@@ -216,8 +218,8 @@ def refuse_text_among_numbers(file: Path, name: str, cells: Any, remedy: str = "
     wrong = next((cell for cell in there if cell not in numbers), None)
     if wrong is not None and (is_most or there[0] in numbers):
         raise LogError(
-            f"{_place(file, name, cells.to_pylist().index(wrong))}: {shown(wrong)} is no number, though "
-            f"{'most cells of the column are' if is_most else 'the column begins with one'}; mend the cell, leave it "
+            f"{_place(file, name, cells.to_pylist().index(wrong))}: {shown(wrong)} is not a number, though "
+            f"{'most cells of the column are' if is_most else 'the column begins with one'}; fix the cell, leave it "
             f"empty if there is no value{remedy}"
         )
 

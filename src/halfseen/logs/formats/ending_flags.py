@@ -56,5 +56,5 @@ def _read(cells: Cells, flag: Flag, asked_by: str) -> list[bool]:
     texts = [text.lower() for text in cells.columns[flag.field]]
     wrong = next((row for row, text in enumerate(texts) if text not in (*_TRUE, *_FALSE)), None)
     if wrong is not None:
-        cells.refuse(wrong, flag.field, "is neither true nor false (1 or 0, yes or no); mend it, or name another")
+        cells.refuse(wrong, flag.field, "is neither true nor false (1 or 0, yes or no); fix it, or name another column")
     return [text in _TRUE for text in texts]

@@ -30,7 +30,7 @@ def refuse_rounded(cells: Cells, rows: Sequence[int], column: str) -> None:
     """Refuse a name in exponent notation, as spreadsheets round long numbers (`LogError`)."""
     row = next((row for row in rows if _ROUNDED.fullmatch(cells.columns[column][row])), None)
     if row is not None:
-        cells.refuse(row, column, "is a rounded number, for which several names may stand; export the column as text")
+        cells.refuse(row, column, "is a rounded number that may stand for several names; export the column as text")
 
 
 def refuse_respelled(cells: Cells, rows: Sequence[int], column: str, known: Collection[str]) -> None:
@@ -69,9 +69,9 @@ def warn_of_rows_apart(cells: Cells, groups: Groups, mapping: EventMapping) -> N
         row, name = apart[0]
         warn(
             cells.place(row),
-            f"rows of trajectory {shown(name)} stand apart, with others between; so they do in {len(apart):,} of "
-            f"{len(groups):,} trajectories, and each is taken for one: if names were used again, convert each part "
-            "alone, and join the logs",
+            f"rows of trajectory {shown(name)} are not adjacent, as in {len(apart):,} of {len(groups):,} "
+            "trajectories, and each counts as one: if names were reused, convert each part separately, and join the "
+            "logs",
         )
 
 
@@ -81,9 +81,9 @@ def warn_of_reordered(cells: Cells, groups: Groups, stamps: Stamps, mapping: Eve
         return
     late = [rows[k + 1] for rows in groups.values() for k in np.flatnonzero(np.diff(stamps[rows]) < 0).tolist()]
     if late:
-        rest = f"; so it is in {len(late):,} rows" if len(late) > 1 else ""
+        rest = f", as in {len(late):,} rows" if len(late) > 1 else ""
         early = f"the time is before that of the row above{rest}"
-        warn(cells.place(late[0]), f"{early}; rows are put in order of time")
+        warn(cells.place(late[0]), f"{early}; rows are sorted by time")
 
 
 def late_covariates(events: list[Event]) -> Iterator[str]:
@@ -102,8 +102,8 @@ def warn_of_late(cells: Cells, mapping: EventMapping, late: Counter[str]) -> Non
         names = ", ".join(mapping.origin(key) for key in late)
         warn(
             cells.file,
-            f"{late.total():,} values of {names} stand at the time of an action, but after it in the file: the value "
-            "before was taken; write them before the action if they had been seen by then",
+            f"{late.total():,} values of {names} have the time of an action, but come after it in the file: the "
+            "earlier value was used; write them before the action if they were known by then",
         )
 
 
@@ -114,8 +114,9 @@ def warn_of_running_clock(cells: Cells, clock: Clock, found: list[Trajectory]) -
         begin = next(filter(BEGIN_LIKE.search, cells.columns), "COLUMN")
         warn(
             f"{cells.file}, column {clock.fields[-1]!r}",
-            'times run on over trajectories, and do not count since each began; in place of since = "trajectory", say '
-            f'begin = "{begin}", the column of the time at which a stage began, with that of its end as field',
+            "times continue from one trajectory to the next and do not count from each beginning; replace "
+            f'since = "trajectory" by begin = "{begin}", the column of the time at which a stage began, '
+            "with that of its end as field",
         )
 
 

@@ -106,15 +106,17 @@ def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> C
     tables = [read_cells(file, mapping.table) for file in source if not file.is_file() or file.stat().st_size]
     tables = [each for each in tables if len(each.rows)]
     if empty := sorted({*map(str, source)} - {each.file for each in tables}):
-        warn(empty[0], f"{len(empty)} of {len(source)} files have no rows, and are passed over; this is the first")
+        warn(empty[0], f"{len(empty)} of {len(source)} files have no rows, and are skipped; this is the first")
     if not tables:
-        raise LogError(f"{source[0].parent}: none of its tables has a row; give one at least")
+        raise LogError(f"{source[0].parent}: all its tables are empty; give at least one with rows")
     first, *others = tables
     for each in others:
         differing = sorted(each.columns.keys() ^ first.columns.keys())
         if differing or each.layout.separator != first.layout.separator:
             names = ", ".join(map(shown, differing)) or f"separated by {each.layout.separator!r}"
-            raise LogError(f"{each.file}: its columns are not those of {first.file} ({names}); convert each alone")
+            raise LogError(
+                f"{each.file}: its columns differ from those of {first.file} ({names}); convert each separately"
+            )
     columns = {name: [text for each in tables for text in each.columns[name]] for name in first.columns}
     are_alone = len({Path(each.file).name for each in tables}) == len(tables)
     names = [Path(each.file).name if are_alone else each.file for each in tables]
@@ -127,12 +129,12 @@ def _remedy_after_ending(cells: Cells, mapping: EventMapping) -> str:
     """Remedy for rows that come after an ending."""
     column = mapping.column("ending")
     if not mapping.ending.topics and are_flags(cells.columns[column]):
-        return f'column {column!r} is true or false, so say finished = {{field = "{column}"}} in [ending]'
+        return f'column {column!r} is true or false, so set finished = {{field = "{column}"}} in [ending]'
     if mapping.trajectory is None:
         return "map [trajectory], the column of its name or the event that begins it, if there are several"
-    last = "the ending must be last by the clock; mend the times"
+    last = "the ending must be last by the clock; fix the times"
     last += "" if mapping.topic is not None else f", leave column {column!r} empty in all rows but the last"
-    return f"{last}, or have {mapping.origin('trajectory')} tell the trajectories apart"
+    return f"{last}, or have {mapping.origin('trajectory')} distinguish the trajectories"
 
 
 def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
@@ -161,7 +163,7 @@ def _without_repeats(cells: Cells) -> Cells:
         return cells
     first = next(row for row, texts in enumerate(whole[1:], start=1) if texts == whole[row - 1])
     num_repeats = len(whole) - len(kept)
-    warn(cells.place(first), f"it repeats the one before it; such rows are left out: {num_repeats}")
+    warn(cells.place(first), f"it repeats the one before it; such rows are skipped: {num_repeats}")
     columns = {name: [texts[row] for row in kept] for name, texts in cells.columns.items()}
     return replace(cells, columns=columns, rows=[cells.rows[row] for row in kept])
 
@@ -210,7 +212,7 @@ def _times(cells: Cells, mapping: EventMapping, marks: Marks, file: str) -> tupl
     if clock.since is not None:
         begins = np.zeros_like(stamps)
     if begins is not None and (begins > stamps).any():
-        cells.refuse(int(np.argmax(begins > stamps)), clock.fields[-1], "is before its beginning; mend one of the two")
+        cells.refuse(int(np.argmax(begins > stamps)), clock.fields[-1], "is before its beginning; fix one of them")
     return stamps, begins
 
 
@@ -260,7 +262,7 @@ def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int]
         ]
     for row in rows:
         if not texts[row] and "" not in known and key != "ending" and not is_covariate:
-            cells.refuse(row, column, f"is no {key}; give one, or leave the row out")
+            cells.refuse(row, column, f"is not a valid {key}; give one, or leave the row out")
     if is_covariate and entry.type is None:
         table_values.refuse_most_numbers(cells, [row for row in rows if texts[row] not in known], column)
     if is_covariate and entry.type is None and not known:
@@ -285,8 +287,8 @@ def _groups(
     if mapping.has_begins and mapping.clock.since is None and not is_date:
         runs = _runs(list(order), stamps, values_of)
         for first, *_ in runs[1:2]:
-            trouble = f"the clock starts again, and a trajectory begins, as it does {len(runs) - 1:,} times in all"
-            warn(cells.place(first), f"{trouble}; rows below are taken for later ones")
+            trouble = f"the clock restarts where a trajectory begins, {len(runs) - 1:,} times in all"
+            warn(cells.place(first), f"{trouble}; rows below count as later")
         return dict(enumerate(runs))
     if mapping.has_begins or (mapping.trajectory is None and cells.word != "file"):
         return {None: list(order)}

@@ -155,13 +155,13 @@ def _other_times(cells: Cells, found: dict[str, str]) -> dict[str, str]:
 def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, list[str]]) -> Iterator[str]:
     """Lines of the mapping."""
     yield f"# What the columns of {file} carry, for: halfseen convert {shlex.quote(file)} --mapping THIS --out LOGS"
-    yield "# Each guess is marked: check it, mend it, complete what is missing, and leave out what is not recorded."
+    yield "# Each guess is marked: check and fix it, complete what is missing, and leave out what is not recorded."
     yield from (f"# Column {shown(name)} holds {kind}, which is not read." for name, kind in cells.unread.items())
     topics = list(dict.fromkeys(cells.columns[found["topic"]])) if "topic" in found else []
     if side_by_side := _side_by_side(cells, found):
         yield f"# {', '.join(map(shown, side_by_side))} look like stages side by side: write one row a stage first."
     if topics:
-        yield from ("", "# Column of what happened, one row an event; without it each row is a stage.")
+        yield from ("", "# Column of events, one row each; without it each row is a stage.")
         yield f"topic = {_guess(cells, found['topic'])}"
         yield f"# There are {', '.join(map(shown, topics[:20]))}."
     if cells.layout.separator is not None:
@@ -193,9 +193,9 @@ def _events_like(topics: list[str]) -> dict[str, list[str]]:
 
 def _decimal_line(cells: Cells) -> str:
     try:
-        return f'decimal = {_quoted(marks_of(cells, list(cells.columns)).decimal)}  # guess: of fractions, "," or "."'
+        return f'decimal = {_quoted(marks_of(cells, list(cells.columns)).decimal)}  # guess: decimal mark, "," or "."'
     except LogError:
-        return '# decimal = ","  # the mark of fractions; not to be guessed: "," or "."'
+        return '# decimal = ","  # the decimal mark, which cannot be guessed: "," or "."'
 
 
 def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: dict[str, list[str]]) -> Iterator[str]:
@@ -213,7 +213,7 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
         yield ("# " if has_topic else "") + since if begin is None else f"begin = {_guessed_time(cells, begin, parts)}"
         return
     if len(formats) > 1:
-        yield "# The order of day and month is not to be guessed; choose one:"
+        yield "# The order of day and month cannot be guessed; choose one:"
     yield from (
         f"{'# ' if len(formats) > 1 else ''}format = {_quoted(one)}  # guess" for one in formats if one != "ISO8601"
     )
@@ -259,11 +259,11 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
     texts = topic if column is None else list(dict.fromkeys(cells.columns[column][row] for row in rows))
     if key == "ending":
         ends = [text for text in texts if _FINISHED_LIKE.search(text)] or [text for text in texts if not text]
-        yield f'finished = [{", ".join(map(_quoted, ends))}]  # guess: what is no cut; "" where an empty cell is none'
+        yield f'finished = [{", ".join(map(_quoted, ends))}]  # guess: endings that are not cuts, "" for an empty cell'
     elif key == "action" or (key == "reward" and not all(map(is_numeric, filter(None, texts)))):
         names = list(map(_quoted, filter(None, texts)))[: 1 if key == "action" else 20]
         pairs = ", ".join(f"{name} = {name if key == 'action' else '1.0'}" for name in names)
-        meaning = "what it stands for, if that is another" if key == "action" else "what each earns"
+        meaning = "its action, if that has another name" if key == "action" else "what each earns"
         yield f"# values = {{{pairs}}}  # {meaning}"
 
 
@@ -282,7 +282,7 @@ def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> 
     for name in [] if "topic" in found else free:
         lines = f"[covariates.{_key(name)}]", f"field = {_guess(cells, name)}"
         if _KNOWN_LATER.search(name):
-            yield from ("", "# Its name is of what is known only after the action; it is no covariate then.")
+            yield from ("", "# Its name suggests a value known only after the action; such a value is not a covariate.")
             yield from (f"# {line}" for line in lines)
         else:
             yield from ("", *lines)

@@ -112,7 +112,9 @@ def _info(file: Path) -> Info:
     except (OSError, ValueError) as error:
         raise LogError(f"{file}: it cannot be read ({reason_of(error)}); {remedy}") from error
     if not info.codebase_version.startswith(VERSION):
-        raise LogError(f"{file}: codebase_version is {shown(info.codebase_version)}, and {VERSION} is read; {remedy}")
+        raise LogError(
+            f"{file}: codebase_version is {shown(info.codebase_version)}, but only {VERSION} is read; {remedy}"
+        )
     return info
 
 
@@ -130,7 +132,8 @@ def _columns(folder: Path, features: dict[str, Any], named: dict[str, str]) -> d
     if left_out:
         names = ", ".join(f"{name} (pictures)" if name in pictures else name for name in left_out)
         warn(
-            str(folder), f"left out are {names}: no columns of a stage hold them, or nobody saw them before the action"
+            str(folder),
+            f"left out are {names}: columns of a stage cannot hold them, or they were not known before the action",
         )
     table = read_tables(files, wanted)
     for name in (name for name in (EPISODE, TASK_INDEX) if name in wanted):
@@ -142,7 +145,7 @@ def _whole(place: Path, table: pa.Table, name: str) -> list[int]:
     """Values of an integer column; other columns are refused."""
     kind = table.schema.field(name).type
     if not pa.types.is_integer(kind) or table[name].null_count:
-        raise LogError(f"{place}: {name} holds {kind}, or null, and no whole numbers; copy the dataset again")
+        raise LogError(f"{place}: {name} holds {kind} or null, not whole numbers; copy the dataset again")
     return table[name].to_pylist()
 
 
@@ -161,12 +164,12 @@ def _check_counts(folder: Path, info: Info, episode: np.ndarray, begins: np.ndar
     for name in sorted({*lengths, *found}, key=str):
         if lengths.get(name) != found.get(name):
             raise LogError(
-                f"{folder}, episode {shown(name)}: meta/episodes counts {lengths.get(name, 0)} frames, and data has "
+                f"{folder}, episode {shown(name)}: meta/episodes counts {lengths.get(name, 0)} frames, but data has "
                 f"{found.get(name, 0)}; copy the whole dataset again"
             )
     if info.total_frames not in (None, len(episode)):
         raise LogError(
-            f"{folder / INFO}: total_frames is {info.total_frames}, and data has {len(episode)}; copy the "
+            f"{folder / INFO}: total_frames is {info.total_frames}, but data has {len(episode)}; copy the "
             "whole dataset again"
         )
 
@@ -203,8 +206,8 @@ def _own_ends(
         if TRUNCATED not in flags and len(last) > 1 and flags[DONE][last].all():
             warn(
                 place,
-                f"every episode ends with {DONE}, which LeRobot sets where one was truncated, too, and there is no "
-                f"{TRUNCATED}: each counts as finished; name a feature of those that terminated as done",
+                f"every episode ends with {DONE}, which LeRobot also sets for truncated ones, and there is no "
+                f"{TRUNCATED}: each counts as finished; name a feature that marks termination as done",
             )
     if own:
         return np.any(own, axis=0)
@@ -214,7 +217,7 @@ def _own_ends(
     warn(
         place,
         f"none of {', '.join(FLAGS)} says how an episode ended, so that each {became}; name another feature as done, "
-        "or say by truncated what they are",
+        "or set truncated",
     )
     return None
 
@@ -254,5 +257,5 @@ def _tasks(file: Path, numbers: np.ndarray) -> np.ndarray:
     words_of = dict(zip(_whole(file, table, TASK_INDEX), table[words[0]].to_pylist(), strict=True))
     wrong = [number for number in np.unique(numbers).tolist() if number not in words_of]
     if wrong:
-        raise LogError(f"{file}: there is no task {shown(wrong[0])}, which a frame has; copy the dataset again")
+        raise LogError(f"{file}: a frame has task {shown(wrong[0])}, which is not listed; copy the dataset again")
     return np.array([words_of[number] for number in numbers.tolist()], dtype=object)

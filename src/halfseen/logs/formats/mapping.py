@@ -31,7 +31,7 @@ def mapping_in(file: str | Path, kind: type[Of], remedy: str) -> Of:
     except msgspec.ValidationError as error:
         raise ArgumentError(f"{file}, {_reworded(str(error))}; {remedy}") from error
     except ValueError as error:
-        raise ArgumentError(f"{file}: it is no TOML ({reason_of(error)}); mend it") from error
+        raise ArgumentError(f"{file}: it is not valid TOML ({reason_of(error)}); fix it") from error
 
 
 def _reworded(trouble: str) -> str:
@@ -143,7 +143,7 @@ def read_mapping(file: str | Path) -> BagMapping:
 def _troubles_of_bag(mapping: BagMapping) -> Iterator[tuple[str, str]]:
     """Inconsistencies in the mapping of a bag, by key."""
     if mapping.clock not in _CLOCKS:
-        yield "clock", f"{mapping.clock!r} is none of {', '.join(map(repr, _CLOCKS))}; choose one"
+        yield "clock", f"{mapping.clock!r} is not one of {', '.join(map(repr, _CLOCKS))}; choose one"
     for key, source in mapping.sources.items():
         if not source.topic:
             yield f"{key}.topic", "it is missing; add it"
@@ -308,23 +308,23 @@ def _troubles_of_table(mapping: EventMapping) -> Iterator[tuple[str, str]]:
     """Inconsistencies in the mapping of a table, by key."""
     clock, layout = mapping.clock, mapping.table
     if layout.thousands is not None and layout.thousands == layout.decimal:
-        yield "table.thousands", "it is the mark of fractions, too; mend one of the two"
+        yield "table.thousands", "it is also the decimal mark; fix one of the two"
     if clock.unit is not None and max(len(clock.fields), len(clock.begins)) > 1:
         yield (
             "clock.field",
-            "several columns are for a date and a time of day, and times of a unit stand in one; name it",
+            "several columns are for a date and a time of day, but times with a unit need only one; name it",
         )
     if clock.format is not None and (clock.unit or clock.since):
         yield "clock.format", "dates have a format, and numbers a unit; leave one of the two out"
     hours = {each[-1] for each in re.findall("%.", clock.format or "")}
     if "p" in hours and "I" not in hours:
-        yield "clock.format", "%p says nothing beside %H, so that 01:00 PM is read as 01:00; say %I in place of %H"
+        yield "clock.format", "%p has no effect with %H, so 01:00 PM is read as 01:00; use %I instead of %H"
     if "I" in hours and "p" not in hours:
-        yield "clock.format", "%I is an hour from 1 to 12, which needs %p; say %H, or add %p"
+        yield "clock.format", "%I is an hour from 1 to 12, which needs %p; use %H, or add %p"
     if mapping.topic is None and clock.since is None and clock.begin is None:
-        yield "clock.begin", "it is missing; name the column of the beginning of a stage, or say since what times count"
+        yield "clock.begin", "it is missing; name the column of a stage's beginning, or set since"
     if clock.since is not None and clock.begin is not None:
-        yield "clock", f"since = {clock.since!r} and begin = {clock.begin!r} both say when it begins; leave one out"
+        yield "clock", f"since = {clock.since!r} and begin = {clock.begin!r} both define when it begins; leave one out"
     if mapping.topic is not None and (clock.since == "stage" or clock.begin is not None):
         yield "clock", "begin, and since = 'stage', are for tables of one row a stage; leave it out"
     yield from _troubles_of_flags(mapping.ending)
@@ -345,4 +345,4 @@ def _troubles_of_flags(ending: Ending) -> Iterator[tuple[str, str]]:
     if is_flag and (ending.field is not None or ending.topic is not None):
         yield "ending", "field and topic are of text, and finished names a column of true and false; leave one out"
     if ending.cut is not None and not is_flag:
-        yield "ending.finished", 'it is no flag, and cut is one; say finished = {field = "COLUMN"}, too'
+        yield "ending.finished", 'it is not a flag, but cut is; set finished = {field = "COLUMN"}, too'

@@ -246,7 +246,7 @@ def _read_own(dataset: Any, metadata: dict[str, Any], missing: Missing) -> Logs:
     if metadata["version"] != VERSION:
         raise ValueError(f"version {metadata['version']} is not the {VERSION} that this halfseen reads")
     if not set(metadata["observations"]) <= set(types["stages"]):
-        raise ValueError("observations are no columns of stages")
+        raise ValueError("observations do not fit in columns of stages")
     indices = [int(index) for index in dataset.episode_indices]
     noted = dataset.storage.get_episode_metadata(indices)
     notes = [_note(episode, json.loads(each[KEY]), metadata) for episode, each in zip(dataset, noted, strict=True)]
@@ -286,8 +286,8 @@ def _loaded(dataset: Any) -> Any:
         raise ArgumentError(f"dataset {dataset}: {error}; run: {command_for('minari')}") from error
     except Exception as error:  # a broken dataset raises nearly anything
         raise ArgumentError(
-            f"dataset {dataset}: it cannot be loaded ({reason_of(error)}); `minari list local` names those that there "
-            "are"
+            f"dataset {dataset}: it cannot be loaded ({reason_of(error)}); `minari list local` lists those on this "
+            "machine"
         ) from error
 
 
@@ -301,9 +301,7 @@ def _target(dataset_id: str) -> Path:
         if namespace and namespace not in list_local_namespaces():
             create_namespace(namespace)
     except (ValueError, TypeError) as error:  # TypeError where the version is missing
-        raise ArgumentError(
-            f"dataset {dataset_id!r}: it is no name of a dataset; call it (namespace/)name-v0"
-        ) from error
+        raise ArgumentError(f"dataset {dataset_id!r}: it is not a dataset name; use (namespace/)name-v0") from error
     return get_dataset_path(dataset_id)
 
 

@@ -50,7 +50,7 @@ def check_quotes(
     usual = None
     for begin, record in _records(lines, separator, first, is_spaced):
         if not record:
-            refuse(f"{file}, line {begin}", "a quote opens a cell here, and none closes it; delete it, or close it")
+            refuse(f"{file}, line {begin}", "a quote opens a cell here and is not closed; delete it, or close it")
         counts = [line.count(separator) for line in record]
         usual = counts[0] if usual is None else usual
         if len(record) > 1 and usual >= FEWEST_SEPARATORS and min(counts) >= usual:

@@ -112,7 +112,7 @@ def read_rows(url: str, query: str) -> pa.Table:
 def _refuse_other_than_select(name: str, query: str) -> None:
     bare = _COMMENTS_AND_TEXT.sub(" ", query).strip().rstrip(";")
     if ";" in bare or not _SELECTS.match(bare):
-        raise ArgumentError(f"{name} {shown(query)}: it is not one SELECT; nothing else is asked of a database")
+        raise ArgumentError(f"{name} {shown(query)}: it is not a single SELECT; no other statement is run")
 
 
 def shown_url(url: str) -> str:
@@ -135,15 +135,11 @@ def _connected(url: str, place: str) -> Iterator[Any]:
         ) from None
     except sqlalchemy.exc.NoSuchModuleError:
         kind = url.partition(":")[0][:40]
-        raise ArgumentError(
-            f"{place}: {kind!r} is no kind of database that is installed here; install its dialect"
-        ) from None
+        raise ArgumentError(f"{place}: {kind!r} is not an installed database dialect; install it") from None
     except OSError as error:
         raise LogError(f"{place}: it cannot be read ({reason_of(error)}); give the file of a database") from error
     except Exception:  # its text may contain the password
-        raise ArgumentError(
-            f"{place}: it is no address of a database; give DIALECT://USER:PASSWORD@HOST/NAME"
-        ) from None
+        raise ArgumentError(f"{place}: it is not a database address; give DIALECT://USER:PASSWORD@HOST/NAME") from None
     try:
         with engine.connect() as connection:
             options = {"postgresql_readonly": True} if engine.dialect.name == "postgresql" else {}
@@ -188,7 +184,7 @@ def _rows(connection: Any, place: str, query: str) -> pa.Table:
     try:
         result = connection.exec_driver_sql(query.strip().rstrip(";"))
         names = list(map(str, result.keys()))
-        refuse_repeated(place, names, "name one otherwise (AS)")
+        refuse_repeated(place, names, "rename one (AS)")
         cells: list[list[Any]] = [[] for _ in names]
         num_bytes = 0
         for rows in result.partitions(ROWS_AT_ONCE):
@@ -197,12 +193,12 @@ def _rows(connection: Any, place: str, query: str) -> pa.Table:
                 num_bytes += sum(len(v) if isinstance(v, str | bytes) else BYTES_OF_VALUE for v in values)
             if num_bytes > MOST_BYTES:
                 raise LogError(
-                    f"{place}: {shown(query)} gives more than {MOST_BYTES / 1e6:,.0f} MB; ask for fewer rows"
+                    f"{place}: {shown(query)} returns more than {MOST_BYTES / 1e6:,.0f} MB; select fewer rows"
                 )
     except (HalfseenError, MemoryError):
         raise
     except Exception as error:  # drivers raise nearly anything
-        raise LogError(f"{place}: the database refuses {shown(query)} ({_reason(error)}); mend the query") from None
+        raise LogError(f"{place}: the database refuses {shown(query)} ({_reason(error)}); fix the query") from None
     return pa.table({name: _column(place, name, values) for name, values in zip(names, cells, strict=True)})
 
 

@@ -68,7 +68,7 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None, *, missin
     if TIMEOUTS in steps.columns:
         is_timeout = steps.flags(TIMEOUTS)
     else:
-        warn(place, f"there are no {TIMEOUTS}, so that an episode ends where it terminated, and nowhere else")
+        warn(place, f"there are no {TIMEOUTS}, so an episode ends only where it terminated")
         is_timeout = np.zeros(len(is_terminal), dtype=bool)
     observed = steps.observed([name for name in steps.columns if _is_below(name, SEEN)])
     following = _following(steps, observed)
@@ -117,15 +117,15 @@ def _arrays(file: Path, names: dict[str, str]) -> dict[str, np.ndarray]:
         left_out = [name for name in there if name not in wanted]
         if left_out:
             more = f" and {len(left_out) - 20} more" if len(left_out) > 20 else ""
-            warn(str(file), f"left out are {', '.join(left_out[:20])}{more}: nobody saw them before the action")
+            warn(str(file), f"left out are {', '.join(left_out[:20])}{more}: they were not known before the action")
         return {name: _read(file, name, there[name]) for name in wanted}
 
 
 @contextmanager
 def _opened(file: Path) -> Iterator[tuple[Any, int]]:
     h5py = extra("h5py", "hdf5")
-    missing = "there is no such file; give the one that holds the steps"
-    with refused(file, "it is no whole HDF5 file of steps", "copy or write it again", missing):
+    missing = "no such file; give the one that holds the steps"
+    with refused(file, "it is not a complete HDF5 file of steps", "copy or write it again", missing):
         num_bytes = check_file(file, TABLE)
         with h5py.File(file, "r") as root:
             yield root, num_bytes
@@ -142,27 +142,27 @@ def _named(file: Path, root: Any) -> dict[str, Any]:
             for key in group:
                 name = f"{prefix}{key}"
                 if not isinstance(group.get(key, getlink=True), h5py.HardLink):
-                    raise LogError(f"{file}: {name} is a link; write what it leads to in its place")
+                    raise LogError(f"{file}: {name} is a link; write its target in its place")
                 entry = group[key]
                 if isinstance(entry, h5py.Group):
                     below.append((f"{name}/", entry))
                 elif isinstance(entry, h5py.Dataset):
                     if entry.external or entry.is_virtual:
-                        raise LogError(f"{file}: {name} stands in another file; write it into this one")
+                        raise LogError(f"{file}: {name} is stored in another file; write it into this one")
                     found[name] = entry
         level = below
         if not level:
             return found
         if len(level) > MOST_GROUPS:
             break
-    raise LogError(f"{file}: its groups are too many, or nested more than {MOST_LEVELS} levels deep; write fewer")
+    raise LogError(f"{file}: it has too many groups, or nests them more than {MOST_LEVELS} levels deep; write fewer")
 
 
 def _read(file: Path, name: str, array: Any) -> np.ndarray:
     if array.dtype.hasobject:
         strings = extra("h5py", "hdf5").check_string_dtype(array.dtype)
         if strings is None:
-            raise LogError(f"{file}: {name} holds {array.dtype}, neither numbers nor text; leave it out")
+            raise LogError(f"{file}: {name} holds {array.dtype}, which is neither numbers nor text; leave it out")
         return np.asarray(array.asstr()[...], dtype=object)
     values = array[...]
     return values.astype(str).astype(object) if values.dtype.kind == "S" else values
@@ -218,15 +218,15 @@ def _check_spaces(dataset: Any, name: str) -> None:
 
     if not isinstance(dataset.action_space, spaces.Discrete):
         raise ArgumentError(
-            f"{name}: actions are {dataset.action_space}, and a stage has one of finitely many; discretise them (say, "
-            "with numpy.digitize) and write the dataset again with a Discrete action space"
+            f"{name}: actions are {dataset.action_space}, but a stage takes one of finitely many; discretise them "
+            "(say, with numpy.digitize) and write the dataset again with a Discrete action space"
         )
     kinds = (spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)
     entries = dataset.observation_space
     for space in entries.values() if isinstance(entries, spaces.Dict) else [entries]:
         if not isinstance(space, kinds):
             raise ArgumentError(
-                f"{name}: observations are {space}, which no columns of numbers hold; flatten them with "
+                f"{name}: observations are {space}, which columns of numbers cannot hold; flatten them with "
                 "gymnasium.wrappers.FlattenObservation and write the dataset again"
             )
 
@@ -267,8 +267,8 @@ def _clock(episode: Any, clock: str, place: str) -> Float[np.ndarray, " T"]:
     values = np.asarray(infos[clock])
     if values.shape not in {(num_steps,), (num_steps + 1,)} or values.dtype.kind not in "fiu":
         raise LogError(
-            f"{place}: info {clock!r} is {values.dtype} of shape {values.shape}, no time for each of {num_steps} steps "
-            "[s]; name another clock"
+            f"{place}: info {clock!r} is {values.dtype} of shape {values.shape}, not a time [s] for each of "
+            f"{num_steps} steps; name another clock"
         )
     refuse_rounded(place, clock, values)
     return values.astype(np.float64)

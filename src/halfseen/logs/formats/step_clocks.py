@@ -56,8 +56,8 @@ def ends_by_steps(
     if len(later_s) and wrong.any():
         k = int(np.argmax(wrong))
         raise LogError(
-            f"{place}, episode {shown(names[k])}: by {clock} its first step would last {unsure_s[k]:g} s, and no later "
-            f"step lasts more than {later_s.max():g} s; let {clock} begin at 0 in each episode, name a clock of the "
+            f"{place}, episode {shown(names[k])}: by {clock} its first step would last {unsure_s[k]:g} s, but no "
+            f"later step lasts more than {later_s.max():g} s; start {clock} at 0 in each episode, name a clock of the "
             "observations, or give step_s"
         )
     on, own = "begins when the one before ended, and the first at 0", "counts from its own beginning, as others do"
@@ -78,7 +78,7 @@ def refuse_rounded(place: str, clock: str, times_s: Float[np.ndarray, " N"]) -> 
     if times_s.dtype.itemsize < 8 and rounding_s >= step_s / 10:
         raise LogError(
             f"{place}: {clock} holds {times_s.dtype}, which rounds its times to multiples of {rounding_s:g} s, and "
-            f"steps last {step_s:g} s; write it as float64, or let it begin at 0 in each episode"
+            f"steps last {step_s:g} s; write it as float64, or start it at 0 in each episode"
         )
 
 

@@ -97,7 +97,7 @@ def read_steps(
     refuse_early(place, names, begins, is_last | is_terminal)
     if (wrong := is_terminal[last] & ~is_last[last]).any():
         name = shown(names[int(np.argmax(wrong))])
-        raise LogError(f"{place}, episode {name}: its last row terminates it and is not {LAST}; mend one of the two")
+        raise LogError(f"{place}, episode {name}: its last row terminates it and is not {LAST}; fix one of the two")
     endings = rules.endings(is_terminal[last], is_last[last])
     return StepTable(names, begins, is_step, observed, actions, rewards[is_step], ends_s, endings).logs(place, missing)
 
@@ -107,17 +107,17 @@ def _episodes(steps: StepColumns, label: str | None) -> tuple[list[int | str], I
     place, is_first = steps.place, steps.flags(FIRST) if FIRST in steps.columns else np.zeros(0, dtype=bool)
     if label is None:
         if len(is_first) and not is_first[0]:
-            raise LogError(f"{place}, row 0: {FIRST} is false, so that it belongs to no episode; mend it")
+            raise LogError(f"{place}, row 0: {FIRST} is false, so it belongs to no episode; fix it")
         at = np.flatnonzero(is_first)
         return list(range(len(at))), np.append(at, len(is_first))
     labels = steps.columns[label]
     if labels.ndim != 1 or labels.dtype.kind not in "iuO" or any(name is None for name in labels.tolist()):
-        raise LogError(f"{place}: {label} holds {labels.dtype}, or null, and not names; give whole numbers or text")
+        raise LogError(f"{place}: {label} holds {labels.dtype} or null, not names; give whole numbers or text")
     wrong = is_first != np.append(True, labels[1:] != labels[:-1]).astype(bool) if len(is_first) else is_first
     if wrong.any():
         row = int(np.argmax(wrong))
         raise LogError(
-            f"{place}, row {row}: {FIRST} is {bool(is_first[row])}, yet {label} is {shown(labels[row])}; mend one of "
+            f"{place}, row {row}: {FIRST} is {bool(is_first[row])}, yet {label} is {shown(labels[row])}; fix one of "
             "the two"
         )
     begins = begins_of(place, "rows", labels, "sort them")
@@ -141,8 +141,8 @@ def _refuse_without_step(
     if is_without.any():
         name, num_episodes = shown(names[int(np.argmax(is_without))]), int(is_without.sum())
         raise LogError(
-            f"{place}, episode {name}: it has no step, as its only row is {LAST}, in which nothing is done any more; "
-            f"so it is in {num_episodes} of {len(names)} episodes; {remedy}"
+            f"{place}, episode {name}: it has no step, as its only row is {LAST}, which holds no action; the same is "
+            f"true of {num_episodes} of {len(names)} episodes; {remedy}"
         )
 
 
@@ -152,13 +152,13 @@ def _warn_of_unread(
     known = {*read, *EPISODES, FIRST, LAST, TERMINAL}
     left_out = [name for name in table.column_names if name not in known and not name.startswith(SEEN)]
     if left_out:
-        warn(place, f"left out are {', '.join(left_out)}: nobody saw them before the action")
+        warn(place, f"left out are {', '.join(left_out)}: they were not known before the action")
     num_lost = int(np.count_nonzero(np.nan_to_num(last_rewards)))
     if num_lost:
         warn(
             place,
-            f"{num_lost} rewards other than 0 stand in rows that are {LAST}, in which nothing was done any more: they "
-            f"are not read; {remedy}",
+            f"{num_lost} rewards other than 0 are in rows that are {LAST}, which hold no action: they are not read; "
+            f"{remedy}",
         )
 
 
@@ -186,11 +186,11 @@ def read_tables(files: Sequence[Path], columns: Iterable[str] | None = None, nam
             differing = set(table.schema) ^ set(tables[0].schema)
             names = ", ".join(sorted({field.name for field in differing})) or "other orders"
             raise LogError(
-                f"{file}: its columns are not those of {files[0]} ({names}); give files of one table, or convert each "
-                "alone"
+                f"{file}: its columns differ from those of {files[0]} ({names}); give files of one table, or convert "
+                "each separately"
             )
     if not any(table.num_rows for table in tables):
-        raise LogError(f"{', '.join(map(str, files[:3]))}: there is no row; give a table with one at least")
+        raise LogError(f"{', '.join(map(str, files[:3]))}: there are no rows; give a table with at least one")
     return pa.concat_tables(tables)
 
 
@@ -215,7 +215,7 @@ def as_array(place: str, table: pa.Table, name: str) -> Shaped[np.ndarray, "N ..
 def whole_table(file: Path) -> Any:
     """Refuse a file that is not a complete table."""
     missing = "it is missing; copy the whole dataset again"
-    return refused(file, "it is no whole table", "mend it, or copy or export it again", missing)
+    return refused(file, "it is not a complete table", "fix it, or copy or export it again", missing)
 
 
 def _read(file: Path, columns: list[str] | None, names: Collection[str]) -> pa.Table:
@@ -271,7 +271,7 @@ def _arrow(file: Path) -> pa.Table:
         with pa.OSFile(str(file)) as source:
             table = (pa.ipc.open_file if is_file else pa.ipc.open_stream)(source).read_all()
     except MemoryError as error:
-        raise OSError(f"it asks for more memory than there is: {error}") from error
+        raise OSError(f"it needs more memory than is available: {error}") from error
     table.validate(full=True)
     return table
 
@@ -298,7 +298,7 @@ def _array(place: str, name: str, values: Any) -> np.ndarray:
         if wrong.any():
             row = int(np.argmax(wrong))
             found = "null" if lengths[row] == -1 else f"{lengths[row]} values where row 0 has {lengths[0]}"
-            raise LogError(f"{place}, row {row}: {name} has {found}; give every step as many")
+            raise LogError(f"{place}, row {row}: {name} has {found}; give every step the same number")
         inner = _array(place, name, values.flatten())
         return inner.reshape(len(lengths), int(lengths[0]) if len(lengths) else 0, *inner.shape[1:])
     if pa.types.is_dictionary(kind):

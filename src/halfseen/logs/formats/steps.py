@@ -66,9 +66,9 @@ class StepRules:
         if self.step_s is not None and not (np.isfinite(self.step_s) and self.step_s > 0):
             raise ArgumentError(f"step_s {self.step_s}: a step lasts a finite time above 0 s")
         if self.step_s is not None and self.clock is not None:
-            raise ArgumentError(f"step_s {self.step_s} and clock {self.clock!r}: both tell the time; give one of them")
+            raise ArgumentError(f"step_s {self.step_s} and clock {self.clock!r}: both give the time; give only one")
         if self.truncated not in (CUT, FINISHED):
-            raise ArgumentError(f"truncated {self.truncated!r}: it is neither {CUT!r} nor {FINISHED!r}; say one")
+            raise ArgumentError(f"truncated {self.truncated!r}: it is neither {CUT!r} nor {FINISHED!r}; give one")
 
     @property
     def named(self) -> dict[str, str]:
@@ -91,7 +91,7 @@ class StepRules:
         if self.clock is None and self.step_s is None:
             warn(
                 place,
-                "no clock is named, so that every step counts as 1 s; name what holds it as clock, or give step_s",
+                "no clock is named, so every step counts as 1 s; name it as clock, or give step_s",
             )
         return self.step_s or 1.0
 
@@ -108,7 +108,7 @@ class StepColumns:
         values, flat = self.columns[name], self._flat(name)
         if flat.ndim != 1 or flat.dtype.kind not in "biuf":
             raise ArgumentError(
-                f"{self.place}: {name} holds {values.dtype} of shape {values.shape[1:]}, and not {_MEANT[role]} for "
+                f"{self.place}: {name} holds {values.dtype} of shape {values.shape[1:]}, not {_MEANT[role]} for "
                 f"each step; name another column as {role}"
             )
         if role == "clock":
@@ -123,7 +123,7 @@ class StepColumns:
         wrong = ~((numbers == 0) | (numbers == 1))
         if wrong.any():
             row = int(np.argmax(wrong))
-            raise LogError(f"{self.place}, row {row}: {name} is {shown(flat[row])}, neither true nor false; mend it")
+            raise LogError(f"{self.place}, row {row}: {name} is {shown(flat[row])}, neither true nor false; fix it")
         return numbers.astype(bool)
 
     def actions(self, name: str, rows: Bool[np.ndarray, " N"] | slice = slice(None)) -> Shaped[np.ndarray, " M"]:
@@ -139,9 +139,9 @@ class StepColumns:
                 whole: Any = np.where(is_null, 0, flat).astype(np.int64)
                 return np.where(is_null, np.array(None), whole.astype(object)) if is_null.any() else whole
         raise ArgumentError(
-            f"{self.place}: {name} holds {values.dtype} of shape {values.shape[1:]}, and the action of a stage is one "
-            "of finitely many; discretise it (say, with numpy.digitize), or name another column, of whole numbers or "
-            "text, as action"
+            f"{self.place}: {name} holds {values.dtype} of shape {values.shape[1:]}, but the action of a stage is "
+            "one of finitely many; discretise it (say, with numpy.digitize), or name another column, of whole "
+            "numbers or text, as action"
         )
 
     def observed(self, names: Iterable[str]) -> dict[str, Shaped[np.ndarray, " N"]]:
@@ -158,17 +158,15 @@ class StepColumns:
                 continue
             for column, entries in columns_of(name, values).items():
                 if column in observed:
-                    raise LogError(f"{self.place}: two observations make a column {column!r}; rename one")
+                    raise LogError(f"{self.place}: two observations become column {column!r}; rename one")
                 observed[column] = entries
         if passed_over:
-            warn(self.place, f"{', '.join(passed_over)}: no columns of a stage hold it, so it is left out")
+            warn(self.place, f"{', '.join(passed_over)}: columns of a stage cannot hold it, so it is left out")
         return observed
 
     def _whole_numbers(self, name: str, flat: np.ndarray) -> Int[np.ndarray, " M"]:
         if flat.dtype.kind == "u" and (flat >= 2**63).any():
-            raise LogError(
-                f"{self.place}: {name} is {flat.max()}, beyond the whole numbers of 64 bits; give names as text"
-            )
+            raise LogError(f"{self.place}: {name} is {flat.max()}, beyond 64-bit integers; give names as text")
         return flat.astype(np.int64)
 
     def _flat(self, name: str) -> np.ndarray:
@@ -259,7 +257,7 @@ def begins_of(place: str, rows: str, labels: Shaped[np.ndarray, " N"], remedy: s
     found = labels[at].tolist()
     if len(set(found)) < len(found):
         twice = next(name for k, name in enumerate(found) if name in found[:k])
-        raise LogError(f"{place}: the {rows} of episode {shown(twice)} do not stand together; {remedy}")
+        raise LogError(f"{place}: the {rows} of episode {shown(twice)} are not adjacent; {remedy}")
     return np.append(at, len(labels)).astype(np.int64)
 
 

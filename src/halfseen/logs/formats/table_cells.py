@@ -86,7 +86,7 @@ def read_cells(file: Path, layout: Layout) -> Cells:
             table = parquet_file(file).read()
         return cells_of(str(file), table)
     if file.suffix.lower() not in TEXT_FILES:
-        raise ArgumentError(f"{file}: a mapping of columns is for {', '.join((*TEXT_FILES, *TYPED_FILES))}; export one")
+        raise ArgumentError(f"{file}: a mapping of columns reads {', '.join((*TEXT_FILES, *TYPED_FILES))}; export one")
     with whole_table(file), opened(file, TABLE) as held:
         content = held.read()
     text, encoding = _decoded(file, content, layout.encoding)
@@ -125,7 +125,7 @@ def _texts_of(column: Any) -> list[str]:
     values = column.combine_chunks()
     values = values.dictionary_decode() if pa.types.is_dictionary(column.type) else values
     if pa.types.is_duration(values.type):
-        raise NotImplementedError("a duration has no text that tells its unit")
+        raise NotImplementedError("a duration as text would lose its unit")
     return [(cell or "").strip() for cell in values.cast(pa.string()).to_pylist()]
 
 
@@ -151,15 +151,15 @@ def _decoded(file: Path, content: bytes, encoding: str | None) -> tuple[str, str
         except UnicodeDecodeError as error:
             trouble = f"line {content[: error.start].count(10) + 1}: bytes {content[error.start : error.end]!r}"
             if name == "utf-8" and encoding is None and _LATIN_IN_UTF_8.search(content):
-                remedy = "mend them, or say table.encoding"
-                raise LogError(f"{file}, {trouble} are no UTF-8, though other bytes are; {remedy}") from error
-    raise LogError(f"{file}, {trouble} are no {encoding or names[-1]}; say table.encoding, or export it as UTF-8")
+                remedy = "fix them, or set table.encoding"
+                raise LogError(f"{file}, {trouble} are not UTF-8, though other bytes are; {remedy}") from error
+    raise LogError(f"{file}, {trouble} are not {encoding or names[-1]}; set table.encoding, or export it as UTF-8")
 
 
 def _split(file: Path, text: str, layout: Layout) -> Cells:
     """Split text into cells."""
     if "\0" in text:
-        raise LogError(f"{file}: it holds null characters; say table.encoding, such as 'utf-16', or export it as UTF-8")
+        raise LogError(f"{file}: it holds null characters; set table.encoding, such as 'utf-16', or export it as UTF-8")
     lines = io.StringIO(text, newline="")
     for _ in range(layout.heading - 1):
         lines.readline()
@@ -181,13 +181,13 @@ def _split(file: Path, text: str, layout: Layout) -> Cells:
                 rows.append(at)
             at = number + reader.line_num + 1
     except csv.Error as error:
-        raise LogError(f"{file}, line {at}: it is no CSV ({reason_of(error)}); mend the line") from error
+        raise LogError(f"{file}, line {at}: it is not CSV ({reason_of(error)}); fix the line") from error
     names = _trimmed(kept[0], 1) if kept else []
     for row, cells in zip(rows[1:], kept[1:], strict=True):
         if len(_trimmed(cells, len(names))) != len(names):
             raise LogError(
                 f"{file}, line {row}: it has {len(cells)} cells between {separator!r}, and the heading has "
-                f"{len(names)}; mend or delete the line, or say table.separator or table.heading"
+                f"{len(names)}; fix or delete the line, or set table.separator or table.heading"
             )
     columns = {name: [cells[k] for cells in kept[1:]] for k, name in enumerate(names)}
     return _checked(Cells(str(file), columns, rows[1:], msgspec.structs.replace(layout, separator=separator)), names)
@@ -204,14 +204,14 @@ def _trimmed(cells: list[str], least: int) -> list[str]:
 def _checked(cells: Cells, names: list[str]) -> Cells:
     refuse_repeated(cells.file, names)
     if "" in names:
-        raise LogError(f"{cells.file}: column {names.index('') + 1} has no name; give it one, or say table.heading")
+        raise LogError(f"{cells.file}: column {names.index('') + 1} has no name; give it one, or set table.heading")
     return cells
 
 
 def refuse_empty(cells: Cells) -> Cells:
     """Refuse a table without rows (`LogError`)."""
     if not len(cells.rows):
-        raise LogError(f"{cells.file}: there is no row below the heading; give a table with one at least")
+        raise LogError(f"{cells.file}: there are no rows below the heading; give a table with at least one")
     return cells
 
 
@@ -226,7 +226,7 @@ def _separator(file: Path, text: str) -> str:
             continue
         found |= {separator: (len(set(sizes)) == 1, sizes[0])} if sizes and sizes[0] > 1 else {}
     if not found:
-        raise LogError(f"{file}: no separator is in its heading, among {SEPARATORS}; say table.separator or heading")
+        raise LogError(f"{file}: its heading has none of the separators {SEPARATORS}; set table.separator or heading")
     return max(found, key=lambda separator: found[separator])
 
 

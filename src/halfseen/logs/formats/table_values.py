@@ -59,11 +59,11 @@ def marks_of(cells: Cells, names: Sequence[str]) -> Marks:
                 if _FRACTION[mark].fullmatch(cell):
                     found.setdefault(mark, (row, name))
                     num_in_thousands[mark] += _IN_THOUSANDS[mark].fullmatch(cell) is None
-    remedy = 'say table.decimal = "," or "." in the mapping'
+    remedy = 'set table.decimal = "," or "." in the mapping'
     if len(found) == 2:
         row, name = found["."]
         other = cells.place(*found[","])
-        cells.refuse(row, name, f"has a point, yet there is a comma in {other}; write numbers alike, or {remedy}")
+        cells.refuse(row, name, f"has a point, but {other} has a comma; write all numbers alike, or {remedy}")
     for mark, (row, name) in found.items():
         if num_in_thousands[mark] == 0:
             cells.refuse(row, name, f"may be a fraction or a number in thousands, like all others; {remedy}")
@@ -125,16 +125,16 @@ def number_at(cells: Cells, row: int, column: str, marks: Marks) -> float:
     value = float(plain_number(cell, marks) or "nan")
     if not np.isfinite(value):
         mark = grouped_by(cell)
-        remedy = f'say table.thousands = "{mark}" in the mapping' if mark else "say values, type or table.decimal"
+        remedy = f'set table.thousands = "{mark}" in the mapping' if mark else "set values, type or table.decimal"
         remedy = _remedy_if_missing(cell) or remedy
-        cells.refuse(row, column, f"is no number of decimal mark {marks.decimal!r}; mend it, or {remedy}")
+        cells.refuse(row, column, f"is not a number with decimal mark {marks.decimal!r}; fix it, or {remedy}")
     return value
 
 
 def _remedy_if_missing(cell: str) -> str:
     """The remedy for a text that looks like a missing value; empty for any other."""
     is_missing = cell.lower() in _MISSING_LIKE
-    return f'if it is missing, leave it empty, or say values = {{"{cell}" = nan}} of a covariate' if is_missing else ""
+    return f'if it is missing, leave it empty, or set values = {{"{cell}" = nan}} of a covariate' if is_missing else ""
 
 
 def refuse_most_numbers(cells: Cells, rows: Sequence[int], column: str) -> None:
@@ -143,11 +143,11 @@ def refuse_most_numbers(cells: Cells, rows: Sequence[int], column: str) -> None:
     others = [row for row in there if not is_numeric(cells.columns[column][row])]
     if others and 2 * len(others) < len(there):
         remedy = _remedy_if_missing(cells.columns[column][others[0]]) or "say values or type"
-        cells.refuse(others[0], column, f"is no number, and most of the column are; mend it, or {remedy}")
+        cells.refuse(others[0], column, f"is not a number, but most of the column are; fix it, or {remedy}")
     found = [_WITH_UNIT.fullmatch(cells.columns[column][row]) for row in there]
     units = {match and is_numeric(match[1]) and match[2] for match in found}
     if len(units) == 1 and units.pop() and len({match and match[1] for match in found}) > 1:
-        cells.refuse(there[0], column, 'is a number with a unit; export it without, or say type = "text"')
+        cells.refuse(there[0], column, 'is a number with a unit; export it without, or set type = "text"')
 
 
 NANOSECONDS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9}
@@ -183,7 +183,7 @@ def stamps_ns(cells: Cells, columns: Sequence[str], clock: Clock, marks: Marks) 
     if clock.unit is not None:
         return _counted(cells, column, NANOSECONDS[clock.unit], marks)
     if clock.since is not None:
-        cells.refuse(0, column, "counts since a beginning; say clock.unit: s, ms, us, ns, min, h or d")
+        cells.refuse(0, column, "counts since a beginning; set clock.unit: s, ms, us, ns, min, h or d")
     written = pd.Series(texts, dtype=object)
     if clock.format is None:
         _refuse_not_iso(cells, column)
@@ -192,7 +192,7 @@ def stamps_ns(cells: Cells, columns: Sequence[str], clock: Clock, marks: Marks) 
     else:
         is_zoned = np.full(len(texts), "%z" in clock.format)
     if is_zoned.any() and not is_zoned.all():
-        cells.refuse(int(np.argmin(is_zoned)), column, "has no zone, and others have; write all times alike")
+        cells.refuse(int(np.argmin(is_zoned)), column, "has no zone, but others have; write all times alike")
     is_of_day = clock.format is not None and not _HAS_DAY.search(clock.format)
     if is_of_day and (is_zoned.any() or clock.zone is not None or clock.begin is not None):
         raise ArgumentError("clock: the format has no day, which zone and begin need; name the column of dates, too")
@@ -211,7 +211,7 @@ def _refuse_new_year(cells: Cells, column: str, stamps: Stamps) -> None:
     if is_apart.any():
         row = int(np.argmax(is_apart)) + 1
         before = shown(cells.columns[column][row - 1])
-        cells.refuse(row, column, f"stands after {before}, and clock.format has no year; export times with their year")
+        cells.refuse(row, column, f"comes after {before}, but clock.format has no year; export times with their year")
 
 
 def joined(cells: Cells, columns: Sequence[str]) -> tuple[Cells, str]:
@@ -231,7 +231,7 @@ def joined(cells: Cells, columns: Sequence[str]) -> tuple[Cells, str]:
         return cells, columns[0]
     for name in columns:
         if "" in cells.columns[name]:
-            cells.refuse(cells.columns[name].index(""), name, "is no part of a time; every row needs one")
+            cells.refuse(cells.columns[name].index(""), name, "is not part of a time; every row needs one")
     name, parts = " ".join(columns), (cells.columns[name] for name in columns)
     joined = {name: [" ".join(texts) for texts in zip(*parts, strict=True)]}
     return replace(cells, columns=cells.columns | joined), name
@@ -241,12 +241,10 @@ def _doubt(cells: Cells, column: str, is_of_day: bool) -> str:
     """Possible fault of times without a zone, or without a date."""
     wrong = "an hour is wrong where clocks were changed"
     if not is_of_day:
-        return f"times have no zone, so that {wrong}; say clock.zone, such as 'Europe/Berlin' or 'UTC'"
+        return f"times have no zone, so {wrong}; set clock.zone, such as 'Europe/Berlin' or 'UTC'"
     dates = _column_of(cells, _DAY_ALONE)
     remedy = "" if dates is None else f"; if column {dates!r} has their dates, name both: {_both(dates, column)}"
-    return (
-        f"times have no date, so that those which fall back past midnight count as the next day's, and {wrong}{remedy}"
-    )
+    return f"times have no date, so those that fall back past midnight count as the next day's, and {wrong}{remedy}"
 
 
 def _both(dates: str, times: str) -> str:
@@ -277,7 +275,7 @@ def _over_midnight(cells: Cells, column: str, times: Stamps) -> Stamps:
         cells.refuse(
             row,
             column,
-            f"stands after {before}, which no day tells apart; name the column of dates in clock.field, too",
+            f"comes after {before}, and no date tells the days apart; name the column of dates in clock.field, too",
         )
     return times[:1].sum() + forth * np.concatenate([np.zeros(1, np.int64), np.cumsum(steps)])
 
@@ -292,17 +290,17 @@ def _refuse_not_iso(cells: Cells, column: str) -> None:
         return
     cell = texts[row]
     if not cell:
-        cells.refuse(row, column, "is no time; every row needs one")
+        cells.refuse(row, column, "is not a time; every row needs one")
     if is_numeric(cell):
-        cells.refuse(row, column, "is a number; say clock.unit: s, ms, us, ns, min, h or d")
+        cells.refuse(row, column, "is a number; set clock.unit: s, ms, us, ns, min, h or d")
     if TIME_OF_DAY.fullmatch(cell):
         dates = _column_of(cells, _DAY_ALONE)
         way = "" if dates is None else f"{_both(dates, column)} and "
         cells.refuse(
-            row, column, f'has no date; say {way}clock.format, such as "{"" if dates is None else "%d.%m.%Y "}%H:%M:%S"'
+            row, column, f'has no date; set {way}clock.format, such as "{"" if dates is None else "%d.%m.%Y "}%H:%M:%S"'
         )
     way = '"%d/%m/%Y %H:%M:%S" or "%m/%d/%Y %H:%M:%S"' if "/" in cell else '"%d.%m.%Y %H:%M:%S"'
-    cells.refuse(row, column, f"is no ISO time, and day and month may change places; say clock.format, such as {way}")
+    cells.refuse(row, column, f"is not an ISO time, and day and month may be swapped; set clock.format, such as {way}")
 
 
 def _dates(cells: Cells, column: str, written: Any, clock: Clock, is_zoned: bool) -> Stamps:
@@ -313,13 +311,13 @@ def _dates(cells: Cells, column: str, written: Any, clock: Clock, is_zoned: bool
         if not is_zoned and clock.zone is not None:
             dates = dates.tz_localize(ZoneInfo(clock.zone), ambiguous="NaT", nonexistent="NaT")
     except (ValueError, LookupError, OSError, TypeError) as error:
-        trouble = f"dates of column {column!r} cannot be read by it ({reason_of(error)}); mend it"
+        trouble = f"dates of column {column!r} cannot be read with it ({reason_of(error)}); fix it"
         raise ArgumentError(f"clock.format or clock.zone: {trouble}") from error
     if not known.all():
-        cells.refuse(int(np.argmin(known)), column, f"is no time of the format {wanted}; mend it, or clock.format")
+        cells.refuse(int(np.argmin(known)), column, f"is not a time in format {wanted}; fix it, or clock.format")
     if dates.isna().any():
         row, where = int(np.argmax(dates.isna())), f"in {clock.zone}, where clocks were changed"
-        cells.refuse(row, column, f"was there twice or never {where}; export times with their offset, or in UTC")
+        cells.refuse(row, column, f"occurred twice or never {where}; export times with their offset, or in UTC")
     return dates.as_unit("ns").asi8
 
 
@@ -330,9 +328,9 @@ def _counted(cells: Cells, column: str, factor: int, marks: Marks) -> Stamps:
     stamps = np.zeros(len(cells.rows), dtype=np.int64)
     for row, cell in enumerate(cells.columns[column]):
         if (number := plain_number(cell, marks)) is None:
-            cells.refuse(row, column, f"is no number of decimal mark {marks.decimal!r}; every row needs its time")
+            cells.refuse(row, column, f"is not a number with decimal mark {marks.decimal!r}; every row needs its time")
         stamp = round(Decimal(number) * factor)
         if abs(stamp) >= 2**62:
-            cells.refuse(row, column, "is no time that 64 bits of ns hold; mend it, or clock.unit")
+            cells.refuse(row, column, "does not fit in 64 bits of ns; fix it, or clock.unit")
         stamps[row] = stamp
     return stamps

@@ -59,14 +59,14 @@ class Snapshot:
         """Value as a nonnegative integer; raises `Refusal` if it is not one, or must not be acted on."""
         value = self[name]
         if not isinstance(value, int) or value < 0:
-            raise Refusal(422, f"{name} is {value!r:.40}, and no whole number from 0")
+            raise Refusal(422, f"{name} is {value!r:.40}, not a whole number from 0")
         return value
 
     def number(self, name: str) -> float:
         """Value as a finite number; raises `Refusal` if it is not one, or must not be acted on."""
         value = self[name]
         if not isinstance(value, int | float) or not math.isfinite(value):
-            raise Refusal(422, f"{name} is {value!r:.40}, and no finite number")
+            raise Refusal(422, f"{name} is {value!r:.40}, not a finite number")
         return float(value)
 
     @property
@@ -74,7 +74,7 @@ class Snapshot:
         """How the trajectory ended, empty while it continues; raises `Refusal` if it must not be acted on."""
         given = "" if self["ending"] is None else self["ending"]
         if not isinstance(given, str):
-            raise Refusal(422, f'ending is {given!r:.40}, and no text; give "", "finished", or what cut the trajectory')
+            raise Refusal(422, f'ending is {given!r:.40}, not text; give "", "finished", or what cut the trajectory')
         text = given.strip()
         return FINISHED if text.lower() == FINISHED else text
 
@@ -153,7 +153,7 @@ class Controller:
             is_held = False
         if not is_held:
             raise ArgumentError(
-                f"{name} is {value!r}, and its variable takes {kind.name}; give it a type that holds it"
+                f"{name} is {value!r}, but its variable takes {kind.name}; give it a type that holds it"
             )
         return variant
 
@@ -164,13 +164,13 @@ def _doubt(found: ua.DataValue, now: datetime | None, limit_s: float | None) -> 
     if status is not None and not status.is_good():
         return f"has the quality {status.name}"
     if isinstance(_value(found), list | tuple):
-        return "is an array, and no single value"
+        return "is an array, not a single value"
     if limit_s is None:
         return ""
     if found.SourceTimestamp is None or now is None:
-        return "has no time stamp, so nobody knows how old it is"
+        return "has no timestamp, so its age is unknown"
     age_s = (now - found.SourceTimestamp).total_seconds()
-    return f"is {age_s:.1f} s old, and {limit_s:g} s are allowed" if age_s > limit_s else ""
+    return f"is {age_s:.1f} s old, but only {limit_s:g} s are allowed" if age_s > limit_s else ""
 
 
 def _value(found: ua.DataValue) -> Any:
@@ -232,7 +232,7 @@ async def _nodes(client: Client, mapping: CellMapping, paths: Mapping[str, str])
         try:
             nodes[name] = await objects.get_child([ua.QualifiedName(each, known.index(of)) for of, each in names])
         except ua.uaerrors.BadNoMatch as error:
-            raise ArgumentError(f"{name}: the controller has no {path!r} below Objects; mend the path") from error
+            raise ArgumentError(f"{name}: the controller has no {path!r} below Objects; fix the path") from error
     return nodes
 
 

@@ -146,7 +146,7 @@ def read_mapping(file: Path, stored: StoredPolicy) -> CellMapping:
 
 def _refuse_tables(stored: StoredPolicy) -> None:
     if stored.is_table:
-        raise ArgumentError("--opcua: the policy is of tables of objects, and a variable holds one value; ask by HTTP")
+        raise ArgumentError("--opcua: the policy needs tables of objects, but a variable holds one value; use HTTP")
 
 
 def _beside(file: Path, security: Security | None) -> Security | None:
@@ -157,9 +157,9 @@ def _beside(file: Path, security: Security | None) -> Security | None:
     paths = {name: file.parent / each for name, each in named.items() if each is not None}
     for name, path in paths.items():
         if not path.is_file():
-            raise ArgumentError(f"{file}, security.{name}: there is no file {path}; name a .der or .pem file")
+            raise ArgumentError(f"{file}, security.{name}: no such file {path}; name a .der or .pem file")
     if (security.user_certificate is None) != (security.user_key is None):
-        raise ArgumentError(f"{file}, security: user_certificate and user_key go together; give both or none")
+        raise ArgumentError(f"{file}, security: give both user_certificate and user_key, or neither")
     return msgspec.structs.replace(security, **{name: str(path) for name, path in paths.items()})
 
 
@@ -189,7 +189,7 @@ TEMPLATE = """\
 # A path leads from the folder Objects by browse names. "alias:Name" is in the namespace of that alias, "Name" in the
 # first.
 
-# A value that the controller stamped longer ago is not acted on [s]. Leave it out where values are stamped only when
+# A value that the controller stamped longer ago is not used [s]. Leave it out where values are stamped only when
 # they change.
 stale_after_s = 2.0
 
@@ -197,15 +197,15 @@ stale_after_s = 2.0
 cell = "urn:example:cell"
 
 [reads]
-# Whole number that counts on by one with each question: set it last, and let all else stand until it is answered.
-# 0 asks nothing.
+# Whole number that increases by one with each request: set it last, and keep all else until it is answered.
+# 0 is no request.
 request = "Cell/Request"
 # Whole number: the stage of the trajectory, from 1.
 stage = "Cell/Stage"
-# What the decision before brought, and the time since the trajectory began [s]; not read in stage 1.
+# Reward of the previous decision, and the time since the trajectory began [s]; not read in stage 1.
 reward = "Cell/Reward"
 elapsed_s = "Cell/ElapsedS"
-# Text: empty while the trajectory goes on, "finished", or what cut it, such as "operator". An end is a request, too.
+# Text: empty while the trajectory is in progress, "finished", or what cut it, such as "operator". An end is a request.
 ending = "Cell/Ending"
 
 [covariates]

@@ -95,7 +95,7 @@ class Wire:
                 for action in self.served.service.stored.policy.actions:
                     controller.typed("action", self.mapping.code_of(action))
         except OSError as error:
-            self.tell(f"{self.url}: nobody answers ({error or type(error).__name__}); trying again until somebody does")
+            self.tell(f"{self.url}: no answer ({error or type(error).__name__}); retrying until it answers")
         except LOST as error:
             raise ArgumentError(f"--opcua {self.url}: the controller refuses ({error})") from error
 
@@ -147,14 +147,16 @@ class Wire:
         except Exception as error:
             # The next request is still answered.
             traceback.print_exc(file=sys.stderr)
-            self._note("Error", f"this went wrong in halfseen itself ({type(error).__name__})")
+            self._note("Error", f"unexpected error in halfseen ({type(error).__name__})")
         if self.facts != before:
             await controller.write({"state": self.facts.state, "error": self.facts.error or ""})
 
     def _note(self, state: Any, error: str | None, request: int | None = None) -> None:
         """Update the facts, and report a change of the error."""
         if error != self.facts.error:
-            self.tell(f"{self.url}: {'all is well again' if error is None else f'no decision is written: {error}'}")
+            self.tell(
+                f"{self.url}: {'decisions are written again' if error is None else f'no decision is written: {error}'}"
+            )
         self.facts = Wired(self.url, state, error, self.facts.request if request is None else request)
 
     async def _answer(self, controller: Controller, seen: Snapshot) -> None:
@@ -204,7 +206,7 @@ class Wire:
         """Decide and record the next stage."""
         stage, next_stage = seen.whole("stage"), self.recording.next_stage()
         if stage != next_stage:
-            raise Refusal(409, f"stage is {stage}, and the log awaits stage {next_stage}; end the trajectory")
+            raise Refusal(409, f"stage is {stage}, but the log expects stage {next_stage}; end the trajectory")
         state = {**seen.covariates, "stage": stage}
         return (await self.served.decide(partial(self._seen, request, state))).action
 
