@@ -30,7 +30,7 @@ from tqdm import tqdm
 
 from halfseen.cell.calibration.law import read_law, shipped_law
 from halfseen.cell.camera import CellCamera
-from halfseen.cell.memory import Known
+from halfseen.cell.memory import KnownObject
 from halfseen.cell.table_state import Belief, rows_of
 from halfseen.cell.workcell import Workcell
 from halfseen.logs import Logs, read_logs
@@ -58,7 +58,7 @@ class ManyStains:
         in_order = np.arange(num_sets)[:, None] < round(dirty_share * num_sets)
         self.is_dirty = rng.permuted(np.repeat(in_order, table.num_cups, axis=1), axis=0)
         self._surfaces = [_surfaces(table, is_dirty, rng) for is_dirty in self.is_dirty]
-        self._known: list[list[Known]] = [[] for _ in self.is_dirty]
+        self._known: list[list[KnownObject]] = [[] for _ in self.is_dirty]
         self._counter, self._rng = StainCounter(), rng
         self.cell = Workcell(table, rng, self._surfaces[0], labeller=self)
 

@@ -22,7 +22,7 @@ import mujoco
 import numpy as np
 from timings import Row, write
 
-from halfseen.cell import CellCamera, LiveCell, Robot, cell_model
+from halfseen.cell import CellCamera, LiveCell, MountedArm, cell_model
 from halfseen.perception import perceive
 from halfseen.scene.draw import num_cups_of, random_table
 from halfseen.scene.moving import Sight, with_rays
@@ -39,7 +39,7 @@ def eyes(num_tables: int) -> list[CellCamera]:
     tables = (random_table(seed) for seed in range(10_000) if num_cups_of(seed) == NUM_CUPS)
     made = []
     for index, table in zip(range(num_tables), tables, strict=False):
-        robot = Robot()
+        robot = MountedArm()
         cell = LiveCell(cell_model(table.cups, table.world_from_cup, [robot]), [robot])
         if index % 2:
             for name, angle in zip(robot.joint_names, OVER_THE_TABLE_RAD, strict=True):

@@ -38,7 +38,7 @@ from worlds.examples import EXAMPLES, bin_cell
 from halfseen.errors import NothingRecordedError
 from halfseen.logs import Logs, read_logs
 from halfseen.monitoring.dealing import Terms, standing
-from halfseen.serving.comparing import ARM, CHANCE, Comparison, courses_of
+from halfseen.serving.comparing import ARM, CHANCE, LiveComparison, courses_of
 from halfseen.serving.in_service import taken_into_service
 
 HERE = "127.0.0.1"
@@ -193,7 +193,7 @@ def check_told(logs: Logs, told: Told, num_kills: int) -> int:
     return len(torn)
 
 
-def check_dealt(logs: Logs, comparison: Comparison) -> None:
+def check_dealt(logs: Logs, comparison: LiveComparison) -> None:
     """Check that each trajectory was dealt as one server would have dealt it after all those before it."""
     courses = courses_of(logs, comparison.policy, comparison.name)
     assert courses.num == logs.num_trajectories
@@ -218,7 +218,7 @@ def killed(folder: Path, policy: Path, num_kills: int, seed: int = 0) -> dict[st
         found = None
     assert found is not None, "something was recorded"
     num_torn = check_told(found, told, num_kills)
-    check_dealt(found, Comparison(taken_into_service(policy), rule, logs, Terms(SHARE), SEED))
+    check_dealt(found, LiveComparison(taken_into_service(policy), rule, logs, Terms(SHARE), SEED))
     return {
         "kills": num_kills,
         "trajectories": found.num_trajectories,

@@ -18,8 +18,8 @@ from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from halfseen.cell.campaign import Conditions
-from halfseen.cell.memory import Known
-from halfseen.cell.rewards import Truth
+from halfseen.cell.memory import KnownObject
+from halfseen.cell.rewards import CupsTruth
 from halfseen.cell.workcell import Workcell
 
 MOST_FAILURES = 3
@@ -28,7 +28,7 @@ MOST_STEPS = 40
 
 def washed(cell: Workcell, is_dirty: np.ndarray) -> dict[str, Any]:
     """Wash until nothing is left that is worth another try."""
-    truth, looks_s, attempts_s, held, begin_s = Truth(cell, is_dirty), [], [], [], time.process_time()
+    truth, looks_s, attempts_s, held, begin_s = CupsTruth(cell, is_dirty), [], [], [], time.process_time()
     for _ in range(MOST_STEPS):
         start = time.process_time()
         cell.look()
@@ -50,11 +50,11 @@ def washed(cell: Workcell, is_dirty: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _order(known: Known) -> float:
+def _order(known: KnownObject) -> float:
     return _num_failures(known) + (1.0 if known.seen is None else known.seen.occlusion)
 
 
-def _num_failures(known: Known) -> int:
+def _num_failures(known: KnownObject) -> int:
     return sum(not trial.is_held for trial in known.trials)
 
 

@@ -29,7 +29,7 @@ from halfseen.scene.shipped import table_paths
 from halfseen.study.pipeline import EVALUATION, Source, random_key
 from halfseen.study.setting import look_at
 from halfseen.tables import learner as learning
-from halfseen.tables.law_grasping import Exponential, Logistic
+from halfseen.tables.law_grasping import Exponential, LogisticFamily
 from halfseen.tables.law_seeing import Independent
 from halfseen.tables.laws import FittedLaws, fitted_laws
 from halfseen.world import WorldConfig, random
@@ -114,7 +114,7 @@ def of_family(kind: Any) -> Callable[[Any, WorldConfig], WorldConfig]:
     return forced
 
 
-exponential, logistic = of_family(Exponential), of_family(Logistic)
+exponential, logistic = of_family(Exponential), of_family(LogisticFamily)
 FORCED: dict[str, Callable[[Any, WorldConfig], WorldConfig]] = {
     "right": lambda _, config: config,
     "news": news,

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from halfseen.arrays import Array, record
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.world.actions import possible_actions, wait_of
-from halfseen.world.policy import Decision, Policy, surely
+from halfseen.world.policy import Policy, PolicyDraw, surely
 from halfseen.world.random import Key
 from halfseen.world.state import TableState, attempt_counts, occlusion
 
@@ -36,7 +36,7 @@ class InTurn:
 
     base: Policy
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Choose for one table."""
         wait = wait_of(state.num_objects)
         usual = self.base.decide(state, key)

@@ -41,11 +41,11 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
     from halfseen.cell.episode import Moment, play
     from halfseen.cell.film import Film
     from halfseen.cli.inputs import belief_of, policy_for, stations_for
-    from halfseen.cli.options import SHIPPED, Arm
+    from halfseen.cli.options import SHIPPED, ArmOption
     from halfseen.logs import LogRecorder
 
     table, rows, taken = 0, [], Film()
-    stations, arm_name = stations_for(Arm(None, None, None), num_arms)
+    stations, arm_name = stations_for(ArmOption(None, None, None), num_arms)
     belief = belief_of(SHIPPED, arm_name)
     cell, is_dirty = Conditions(stations=stations, stops=None).cell(seed, table)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from halfseen.cell import LiveCell, Robot, cell_model
+from halfseen.cell import LiveCell, MountedArm, cell_model
 from halfseen.cell.grasps import hand_axes
 from halfseen.cell.model import PAIR
 from halfseen.cell.workcell import Workcell
@@ -11,7 +11,7 @@ from halfseen.scene.poses import Pose
 from halfseen.scene.table import TABLE_TOP_M, Camera, Table, look_at
 from halfseen.scene.xtion import xtion_at
 
-ROBOT = Robot()
+ROBOT = MountedArm()
 HOME = np.array(ROBOT.home_rad)
 ROBOTS = LEFT, RIGHT = [station.robot for station in PAIR]
 HOMES = [np.array(robot.home_rad) for robot in ROBOTS]

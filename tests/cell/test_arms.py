@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cells import CUP, DOWN_AXES, ROBOT, WORLD_FROM_TABLE, standing
 
-from halfseen.cell import ArmFile, Gripper, LiveCell, Robot, SerialArm, cell_model, robot_of
+from halfseen.cell import ArmFile, Gripper, LiveCell, MountedArm, SerialArm, cell_model, robot_of
 from halfseen.cell.arm import JACO_2
 from halfseen.cell.fetching import come, feels, pick_up
 from halfseen.cell.grasps import Grasp
@@ -209,7 +209,11 @@ JOINT, MOTOR, HAND = JACO_2.joints[1], JACO_2.joints[1].motor, Gripper()
         (HAND, {"stroke_m": 0.2}, r"gripper: stroke_m is 0\.2; make it less than palm_m\[1\], 0\.164"),
         (HAND, {"pad_length_m": 0.09}, "make it less than finger_m"),
         (HAND, {"pad_thickness_m": 0.02}, "make it less than finger_thickness_m"),
-        (Robot(), {"home_rad": (0.0,) * 5}, "home_rad has 5 angles and its arm has 6 joints; give one angle for every"),
+        (
+            MountedArm(),
+            {"home_rad": (0.0,) * 5},
+            "home_rad has 5 angles and its arm has 6 joints; give one angle for every",
+        ),
     ],
 )
 def test_numbers_that_cannot_be_are_refused(part, changed, message):

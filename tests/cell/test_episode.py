@@ -7,12 +7,12 @@ import pytest
 from cells import CAMERA, TWO_CUPS, TWO_POSES, one_arm_cell, standing
 
 from halfseen.arrays import record
-from halfseen.cell.camera import Errors
+from halfseen.cell.camera import PoseErrors
 from halfseen.cell.campaign import RUN_FILE, Campaign, Conditions, LiftAtRandom, logs_of, table_name, working_folder
 from halfseen.cell.episode import NOTHING_SEEN, play
 from halfseen.cell.facts import Facts
 from halfseen.cell.live_cell import Stops
-from halfseen.cell.memory import MORE_IN_VIEW, Glance, Known, Memory
+from halfseen.cell.memory import MORE_IN_VIEW, Glance, KnownObject, Memory
 from halfseen.cell.summary import scenes_of, summarised
 from halfseen.cell.table_state import MOST_OBJECTS, Belief, no_grip, state_of
 from halfseen.cell.workcell import Workcell
@@ -188,7 +188,7 @@ def test_most_attempts_on_random_tables_hold_and_completed_shapes_no_less(graspi
 @pytest.mark.slow
 def test_washing_until_nothing_is_left_fills_the_rack():
     table = random_table(70)
-    cell = Workcell(table, np.random.default_rng(70), errors=Errors())
+    cell = Workcell(table, np.random.default_rng(70), errors=PoseErrors())
     for _ in range(2 * table.num_cups):
         cell.look()
         there = [k for k, known in enumerate(cell.memory.objects) if known.seen is not None]
@@ -202,7 +202,7 @@ def test_washing_until_nothing_is_left_fills_the_rack():
 
 def test_a_label_that_cannot_be_news_changes_nothing_and_only_looks_that_show_more_are_news():
     seeing = PersistentSeeing(0.3, (0.3, 1.0), (0.5, 0.9), (0.1, 0.2))
-    known, memory, odds = Known(np.zeros(3), None, Facts(is_lying=False, width_m=0.08, room_m=0.05)), Memory(), []
+    known, memory, odds = KnownObject(np.zeros(3), None, Facts(is_lying=False, width_m=0.08, room_m=0.05)), Memory(), []
     memory.objects, memory.hides = [known], np.zeros((1, 1))
     for glances in ([Glance(0.5, False, True)], [Glance(0.5, False, True), Glance(0.2, False, True)]):
         known.glances = glances

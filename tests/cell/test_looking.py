@@ -15,7 +15,7 @@ from halfseen.cell import CellCamera, LiveCell, cell_model
 from halfseen.cell.camera import perceived_whole
 from halfseen.cell.grasps import Grasp
 from halfseen.cell.memory import Memory, has_vanished
-from halfseen.cell.planning import Plan
+from halfseen.cell.planning import FetchPlan
 from halfseen.cell.table_state import Belief, no_grip, rows_of, state_of
 from halfseen.perception import perceive
 from halfseen.scene import Camera, Cup, Pose, Surface, random_table, read_table
@@ -241,7 +241,7 @@ def test_a_cup_behind_one_that_an_arm_holds_is_left_out_and_known_as_it_was(pair
     data.qpos[place : place + 3] = np.array(hand_m) - [0.0, 0.0, 0.08]
     mujoco.mj_forward(model, data)
     grasp = Grasp("around", np.array([0.0, 0.0, 0.08]), DOWN_AXES, 0.1)
-    cell.in_hand[0], cell.planned[0] = right, Plan(grasp, Pose(hand_m), *[HOMES[0][None]] * 3)
+    cell.in_hand[0], cell.planned[0] = right, FetchPlan(grasp, Pose(hand_m), *[HOMES[0][None]] * 3)
     look = glance(cell)
     left_px = np.flatnonzero((look.labels == 0).ravel())
     assert len(left_px) < 0.9 * whole_px, "the cup that is held hides a part"

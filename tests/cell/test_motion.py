@@ -15,7 +15,7 @@ from halfseen.cell.grasps import CLEARANCE_M, FLOOR_M, GRASPING, Grasp, Surround
 from halfseen.cell.gripper import Gripper
 from halfseen.cell.kinematics import NEAR_M, Kinematics, line, schedule
 from halfseen.cell.live_cell import LiveCell, Move
-from halfseen.cell.model import SLOT_M, Rack, Robot, cell_model
+from halfseen.cell.model import SLOT_M, MountedArm, Rack, cell_model
 from halfseen.cell.planning import plans
 from halfseen.errors import PlanError, SceneError
 from halfseen.perception.solids import Hull, Vessel
@@ -227,7 +227,7 @@ def test_slots_lie_in_the_rack_apart_from_one_another_and_walls_weigh_nothing_an
     [
         ([CUP], {}, "1 cups and 0 poses; give one for every cup"),
         ([CUP], {"world_from_cup": standing((0.0, 0.0)), "frictions": [0.5] * 2}, "1 cups and 2 frictions; give one"),
-        ([], {"robots": [Robot("one")] * 2}, "2 robots are called 'one'; give each a name of its own"),
+        ([], {"robots": [MountedArm("one")] * 2}, "2 robots are called 'one'; give each a name of its own"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(cups, options, message):

@@ -8,7 +8,7 @@ from cells import FULL_CAMERA, two_arm_cell
 
 from halfseen.arrays import record
 from halfseen.cell.episode import PAUSE_S, TeamRun, play
-from halfseen.cell.fetching import Attempt
+from halfseen.cell.fetching import ObservedAttempt
 from halfseen.cell.live_cell import SENSOR_LOST, Rest, Stops
 from halfseen.cell.memory import Trial
 from halfseen.cell.model import PAIR
@@ -34,7 +34,7 @@ CONFIG = WorldConfig(horizon=6, dirty_share=0.8)
 PAIR_CONFIG = replace(CONFIG, speed=(1.0, 1.0))
 BELIEF = Belief(CONFIG, no_grip)
 TEAM = TeamOfRules(GreedyPolicy(CONFIG, uses_history=True, counts_penalty=True))
-TOO_FAR = Attempt(False, 0.0, None, "no grasp is within reach", is_too_far=True)
+TOO_FAR = ObservedAttempt(False, 0.0, None, "no grasp is within reach", is_too_far=True)
 PLACES_M = ((-0.26, 0.0), (-0.12, 0.12), (0.26, 0.0), (0.12, 0.12))
 THREE_M = ((-0.26, 0.0), (0.26, 0.0), (0.0, 0.1))
 LEFT_DIRTY = float(CONFIG.reward_dirty_left)
@@ -131,10 +131,10 @@ def test_a_lift_costs_an_arm_of_two_what_it_costs_one_that_is_agent_view(tmp_pat
 
 def test_reward_and_luck_are_booked_together_when_a_stage_is_completed(monkeypatch):
     account = EpisodeStatistics(TeamRun(), two_arm_cell((-0.26, 0.0), (0.26, 0.0)), np.ones(2, dtype=bool), CONFIG)
-    account.end(Attempt(False, 1.0, "rim", "the hand closed on nothing"), Verb.WASH, 0.5, 1.0, 0)
+    account.end(ObservedAttempt(False, 1.0, "rim", "the hand closed on nothing"), Verb.WASH, 0.5, 1.0, 0)
     assert (account.run.reward, account.run.luck) == (0.0, 0.0)
     monkeypatch.setattr(account.truth, "newly_racked", lambda *_: [True])
-    account.end(Attempt(True, 1.0, "rim"), Verb.WASH, 0.5, 1.0, 1)
+    account.end(ObservedAttempt(True, 1.0, "rim"), Verb.WASH, 0.5, 1.0, 1)
     assert (account.run.reward, account.run.luck) == (0.0, 0.0)
     paid = account.pay(is_over=False)
     assert paid == (CONFIG.reward_wash_failed + CONFIG.reward_wash_dirty, [-1.0, 5.0])
@@ -181,7 +181,7 @@ def test_what_one_arm_has_put_back_the_other_takes_at_the_same_clock(tmp_path, m
     def lifting(cell, number, arm):
         yield Rest(0.1 + arm)
         cell.memory.objects[number].trials.append(Trial(0.0, False, 0.1, arm))
-        return Attempt(False, 0.1, "rim", "the hand closed on nothing")
+        return ObservedAttempt(False, 0.1, "rim", "the hand closed on nothing")
 
     monkeypatch.setattr(Workcell, "lifting", lifting)
     _, logs = played(two_arm_cell((-0.05, 0.0), (0.05, 0.15)), tmp_path, Passing())
@@ -220,9 +220,9 @@ def test_places_tell_who_reaches_an_object_and_which_are_too_near_and_trying_tel
     # It is tried again when an arm has left the table. Who found nothing in reach never left home: two such arms do not
     # free one another for ever.
     table.learn(1, right, TOO_FAR)
-    table.learn(1, middle, Attempt(False, 0.0, None, "another arm was in the way of every grasp"))
+    table.learn(1, middle, ObservedAttempt(False, 0.0, None, "another arm was in the way of every grasp"))
     assert not table.is_in_reach()[0, middle]
-    table.learn(1, middle, Attempt(True, 5.0, "around"))
+    table.learn(1, middle, ObservedAttempt(True, 5.0, "around"))
     np.testing.assert_array_equal(table.is_in_reach(), usual)
 
 

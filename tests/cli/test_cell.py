@@ -14,7 +14,7 @@ from halfseen.cell.calibration.law import ATTEMPTS, read_law, shipped_law, write
 from halfseen.cell.campaign import WHAT_FILE
 from halfseen.cli.cell_run import run
 from halfseen.cli.inputs import stations_for
-from halfseen.cli.options import Arm
+from halfseen.cli.options import ArmOption
 from halfseen.logs import read_logs
 from text_arms import SIX
 
@@ -78,11 +78,11 @@ def test_an_arm_is_known_by_what_it_is_not_by_where_its_file_lies(six, tmp_path)
     (tmp_path / "else").mkdir()
     (tmp_path / "else" / "six.xml").write_text(SIX)
     (tmp_path / "longer.xml").write_text(SIX.replace('pos="0 -0.13 0.42"', 'pos="0 -0.13 0.44"'))
-    ((robot, *_),), name = stations_for(Arm(six, None, None))
+    ((robot, *_),), name = stations_for(ArmOption(six, None, None))
     assert robot.arm.num_joints == 6
     assert name.startswith("six.xml (")
-    assert stations_for(Arm(tmp_path / "else" / "six.xml", "attachment_site", None))[1] == name
-    assert stations_for(Arm(tmp_path / "longer.xml", None, None))[1].split("(")[1] != name.split("(")[1]
+    assert stations_for(ArmOption(tmp_path / "else" / "six.xml", "attachment_site", None))[1] == name
+    assert stations_for(ArmOption(tmp_path / "longer.xml", None, None))[1].split("(")[1] != name.split("(")[1]
 
 
 @pytest.mark.slow

@@ -4,7 +4,16 @@ import numpy as np
 import pytest
 
 from halfseen.monitoring import comparison, dealing
-from halfseen.monitoring.comparison import NOTHING, Counted, Courses, Kept, beats_at, bound, counted, log_wealth
+from halfseen.monitoring.comparison import (
+    NOTHING,
+    ComparisonCache,
+    CountedTrajectories,
+    Courses,
+    beats_at,
+    bound,
+    counted,
+    log_wealth,
+)
 from halfseen.monitoring.dealing import Terms, standing
 
 
@@ -145,13 +154,13 @@ def test_bounds_are_where_the_wealth_is_reached_and_hold_the_gain():
         assert beats_at(of, end - side * 1e-2, 0.025, side) is not None
         assert beats_at(of, end + side * 1e-2, 0.025, side) is None
     assert bound(of, 0.05) >= low
-    assert bound(Counted(*np.zeros((4, 0))), 0.05) == -np.inf
+    assert bound(CountedTrajectories(*np.zeros((4, 0))), 0.05) == -np.inf
 
 
 @pytest.mark.parametrize("cut", [0.0, 0.3])
 def test_a_comparison_that_goes_on_stands_where_one_of_the_whole_stands(cut):
     courses, terms = drawn(30, np.random.default_rng(10), gain=0.8, cut=cut), Terms(0.5)
-    kept, of = Kept(), NOTHING
+    kept, of = ComparisonCache(), NOTHING
     for num in range(31):
         so_far = courses.part(0, num)
         of = counted(so_far, of, kept)

@@ -12,7 +12,7 @@ from halfseen.arrays import record, softmax
 from halfseen.errors import ArgumentError
 from halfseen.planners import explain, information_relaxation_bound, plan, solve_table
 from halfseen.planners.belief import (
-    Grip,
+    GripPosterior,
     expected_attempt_s,
     grasp_probability,
     grip_posterior,
@@ -48,7 +48,7 @@ def exact_chance(cup, occluded):
 @pytest.mark.parametrize("attempts", HISTORIES)
 def test_a_grip_and_the_chance_of_a_grasp_agree_with_integration_on_a_fine_grid(attempts):
     cups = [Cup(0.5, ((0.1, True),)), Cup(0.5, attempts)]
-    grip = Grip(*(leaf[1] for leaf in grip_posterior(CONFIG, state_of(cups, np.zeros((2, 2))))))
+    grip = GripPosterior(*(leaf[1] for leaf in grip_posterior(CONFIG, state_of(cups, np.zeros((2, 2))))))
 
     expected = over_grips(cups[1], float, GRID, NORMAL)
     assert float(softmax(grip.log_weights) @ offset_nodes(CONFIG)) == pytest.approx(expected, abs=0.06)
@@ -149,7 +149,7 @@ def test_sampled_futures_keep_what_is_believed_of_dirt_on_average(played):
     futures = drawn_successors(FITTED, state, 3 + 1, 20_000)
 
     np.testing.assert_allclose(futures.is_dirty.mean(axis=-1), expit(state.log_odds), atol=0.01)
-    grip = Grip(*(leaf[1] for leaf in grip_posterior(FITTED, state)))
+    grip = GripPosterior(*(leaf[1] for leaf in grip_posterior(FITTED, state)))
     chance = float(grasp_probability(FITTED, np.asarray(SCENE.occlusion[1]), grip))
     assert float((futures.seen[1] == 1.0).mean()) == pytest.approx(chance, abs=0.015)
     assert bool((futures.seen >= state.seen[:, None]).all())

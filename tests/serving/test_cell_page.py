@@ -15,7 +15,7 @@ from halfseen.logs import read_logs
 from halfseen.monitoring import monitored
 from halfseen.monitoring.dealing import Terms
 from halfseen.policies.folder import read_policy, write_policy
-from halfseen.serving.comparing import Comparison
+from halfseen.serving.comparing import LiveComparison
 from halfseen.serving.in_service import taken_into_service
 from halfseen.serving.watching import MOST_TRAJECTORIES, Recent, Watch, found_of
 from small_logs import flat_log
@@ -104,7 +104,7 @@ def test_where_the_rule_decides_it_says_why(flat, tmp_path):
 def test_the_last_trajectories_are_those_of_the_log_and_the_comparison_is_that_of_its_address(flat, tmp_path):
     (tmp_path / "rule.csv").write_text(RULE)
     service = taken_into_service(flat, rule=tmp_path / "rule.csv")
-    compared = Comparison(service, tmp_path / "rule.csv", tmp_path / "logs", Terms(0.5), 3, print)
+    compared = LiveComparison(service, tmp_path / "rule.csv", tmp_path / "logs", Terms(0.5), 3, print)
     with client_of(flat, tmp_path / "logs", comparison=compared) as asked:
         run(asked, np.random.default_rng(0), MOST_TRAJECTORIES + 3, cut=0.4)
         state, text = asked.get("/state").json(), check_page(asked.get("/"))

@@ -18,7 +18,7 @@ from halfseen.logs.recorder import torn_by
 from halfseen.monitoring.dealing import Terms, standing
 from halfseen.policies import read_policy
 from halfseen.serving import comparing
-from halfseen.serving.comparing import Comparison, courses_of
+from halfseen.serving.comparing import LiveComparison, courses_of
 from halfseen.serving.in_service import taken_into_service
 
 
@@ -30,7 +30,7 @@ def cell(flat, tmp_path):
     def begin(terms=None, seed=3, **answering):
         said, terms = [], terms or Terms(0.5)
         service = taken_into_service(flat, rule=tmp_path / "rule.csv")
-        compared = Comparison(service, tmp_path / "rule.csv", tmp_path / "logs", terms, seed, said.append)
+        compared = LiveComparison(service, tmp_path / "rule.csv", tmp_path / "logs", terms, seed, said.append)
         return compared, said, client_of(flat, tmp_path / "logs", comparison=compared, **answering)
 
     return begin

@@ -30,7 +30,7 @@ from halfseen.policies import decider_of, read_policy, table_observation
 from halfseen.policies.folder import write_policy
 from halfseen.policies.table_observation import Past, see_table
 from halfseen.serving.app import app_of
-from halfseen.serving.models import Progress
+from halfseen.serving.models import RecordingProgress
 from halfseen.serving.recording import RecordedTrajectories
 from halfseen.serving.served import Answering, Served
 from halfseen.world.logs import states_of
@@ -327,7 +327,7 @@ def test_nothing_is_decided_for_a_client_that_has_gone(tables, shows, tmp_path, 
     with RecordedTrajectories(tmp_path / "logs", is_of_tables=True) as trajectories:
         app = app_of(Served(tables, Answering(trajectories=trajectories), extrapolates=True))
         asyncio.run(app(scope, receive, send))
-        assert trajectories.facts == Progress(None, 0, "decision")
+        assert trajectories.facts == RecordingProgress(None, 0, "decision")
     assert b"the client has disconnected" in sent[-1]["body"]
 
 

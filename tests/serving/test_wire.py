@@ -14,7 +14,7 @@ from starlette.testclient import TestClient
 from halfseen.errors import ArgumentError
 from halfseen.logs import read_logs
 from halfseen.monitoring.dealing import Terms
-from halfseen.serving import Answering, Comparison, RecordedTrajectories, Served, app_of
+from halfseen.serving import Answering, LiveComparison, RecordedTrajectories, Served, app_of
 from halfseen.serving.models import Wired
 from halfseen.serving.opcua.controller import Controller, Snapshot
 from halfseen.serving.opcua.mapping import read_mapping, template_of
@@ -73,7 +73,7 @@ class Side:
         if self.is_compared:
             (self.folder / "rule.csv").write_text("action\nA\n")
             terms = Terms(0.5)
-            comparison = Comparison(served.service, self.folder / "rule.csv", self.folder / "logs", terms)
+            comparison = LiveComparison(served.service, self.folder / "rule.csv", self.folder / "logs", terms)
         rng = np.random.default_rng(self.num_begun)
         served.answering = Answering(self.epsilon, None, rng, self.trajectories, comparison=comparison)
         mapping = read_mapping(self.folder / "cell.toml", served.service.stored)

@@ -16,7 +16,7 @@ from halfseen.study.experiments.attempts_repetition import MODEL_NAMES as ATTEMP
 from halfseen.study.experiments.censoring import Censoring
 from halfseen.study.experiments.clutter import Clutter
 from halfseen.study.experiments.clutter_places import table_of
-from halfseen.study.experiments.grasp import MODEL_NAMES, Grasp
+from halfseen.study.experiments.grasp import MODEL_NAMES, GraspModels
 from halfseen.study.experiments.planning import Planning
 from halfseen.study.experiments.regret import Regret
 from halfseen.study.experiments.reward import Reward
@@ -266,7 +266,7 @@ TINY = (
         ((4, 2), (8, 1)), (1, 2), 8, horizon_episodes=4, num_trajectories=50, episodes_per_scene=2, num_starts=300
     ),
     Censoring(SIZES, compared_num_trajectories=50, episodes_per_scene=2),
-    Grasp(SIZES, episodes_per_scene=2, num_starts=300),
+    GraspModels(SIZES, episodes_per_scene=2, num_starts=300),
     Clutter((2, 3), (0.2,), (1.0,), (-10.0,), (0.5,), num_trajectories=50, num_tables=4, episodes_per_table=5),
     Regret(2, 3, SIZES, (0.0, 0.5), planner_horizons=(1, 2), planner_simulations=8),
     Attempts((5, 10), 2),

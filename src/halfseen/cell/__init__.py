@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from halfseen.cell.kinematics import Kinematics
     from halfseen.cell.live_cell import LiveCell, Stops
     from halfseen.cell.memory import Memory
-    from halfseen.cell.model import PAIR, Rack, Robot, Station, cell_model
+    from halfseen.cell.model import PAIR, MountedArm, Rack, Station, cell_model
     from halfseen.cell.planning import robot_of
     from halfseen.cell.rewards import Run
     from halfseen.cell.table_state import Belief
@@ -50,8 +50,8 @@ __all__ = [
     "Look",
     "Memory",
     "Motor",
+    "MountedArm",
     "Rack",
-    "Robot",
     "Run",
     "SerialArm",
     "Station",
@@ -74,7 +74,7 @@ _NAMES = {
     "kinematics": "Kinematics",
     "live_cell": "LiveCell Stops",
     "memory": "Memory",
-    "model": "PAIR Rack Robot Station cell_model",
+    "model": "PAIR Rack MountedArm Station cell_model",
     "planning": "robot_of",
     "rewards": "Run",
     "table_state": "Belief",

@@ -134,7 +134,7 @@ def without(cloud: Cloud, is_out: Bool[np.ndarray, " n"]) -> Cloud:
 
 
 @dataclass(frozen=True)
-class Errors:
+class PoseErrors:
     """Errors of the camera pose that the robot assumes.
 
     Parameters

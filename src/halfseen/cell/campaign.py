@@ -22,7 +22,7 @@ import numpy as np
 
 from halfseen.arrays import record
 from halfseen.cell.calibration.attempts import HORIZON
-from halfseen.cell.camera import Errors
+from halfseen.cell.camera import PoseErrors
 from halfseen.cell.episode import Follow, TeamRun, play
 from halfseen.cell.live_cell import Stops
 from halfseen.cell.model import Station
@@ -40,7 +40,7 @@ from halfseen.workers import Pool
 from halfseen.world import random
 from halfseen.world.actions import ActionSpace, Verb, possible_actions
 from halfseen.world.config import WorldConfig
-from halfseen.world.policy import Decision, Policy, uniformly
+from halfseen.world.policy import Policy, PolicyDraw, uniformly
 from halfseen.world.random import Key
 from halfseen.world.state import TableState
 from halfseen.writing import placed, refuse_unwritable, write_file
@@ -67,7 +67,7 @@ class Conditions:
     frictions: tuple[float, float] = (0.1, 0.6)
     stations: tuple[Station, ...] = (Station(),)
     grasping: str = "completed"
-    errors: Errors = Errors()  # noqa: RUF009 - frozen
+    errors: PoseErrors = PoseErrors()  # noqa: RUF009 - frozen
     stops: Stops | None = Stops()  # noqa: RUF009 - frozen
 
     def cell(self, seed: int, index: int) -> tuple[Workcell, Bool[np.ndarray, " N"]]:
@@ -279,7 +279,7 @@ def table_name(index: int) -> str:
 class LiftAtRandom:
     """Lifts a uniformly random object on the table; finishes if none is left."""
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Choose an action for each table."""
         actions = ActionSpace(state.num_objects)
         verbs = actions.verb(np.arange(actions.num_actions))

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from scipy.special import expit
 
-from halfseen.cell.executor import Ended, Executor
-from halfseen.cell.fetching import Attempt
+from halfseen.cell.executor import ActivityEnd, Executor
+from halfseen.cell.fetching import ObservedAttempt
 from halfseen.cell.live_cell import Activity, Rest, StoppedError
 from halfseen.cell.rewards import EpisodeStatistics, Run, TeamRun
 from halfseen.cell.space import Touches
@@ -21,7 +21,7 @@ from halfseen.logs.recorder import TrajectoryRecorder
 from halfseen.shapes import Bool
 from halfseen.world import random
 from halfseen.world.actions import TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb
-from halfseen.world.policy import Decision, Policy
+from halfseen.world.policy import Policy, PolicyDraw
 from halfseen.world.random import Key
 from halfseen.world.state import TableState
 
@@ -156,7 +156,7 @@ class _Episode:
             self.statistics.see(expit([row["log_odds"] for row in rows]))
         return self.state.state(self.decider, self.num_decisions - step), rows
 
-    def begin(self, decision: Decision, step: int, state: TableState, rows: list[dict[str, Any]], key: Key) -> Moment:
+    def begin(self, decision: PolicyDraw, step: int, state: TableState, rows: list[dict[str, Any]], key: Key) -> Moment:
         """Record a decision and start its arm on it, before any time passes."""
         number, actions = self.decider, ActionSpace(state.num_objects)
         action, probability = int(decision.action), float(decision.probability)
@@ -189,7 +189,7 @@ class _Episode:
         hidden = rows[arm.target]["occlusion"]
         return f"{VERB_NAMES[verb]} object {arm.target}: dirty with probability {arm.chance:.2f}, {hidden:.0%} hidden"
 
-    def _activity(self, number: int, verb: int, target: int) -> Activity[tuple[Attempt, float] | None]:
+    def _activity(self, number: int, verb: int, target: int) -> Activity[tuple[ObservedAttempt, float] | None]:
         """Execute a verb; return the attempt and its duration [s]."""
         if verb == Verb.FINISH:
             yield Rest(float(self._config.transport_s))
@@ -221,7 +221,7 @@ class _Episode:
             self._end(each)
         return bool(ended)
 
-    def _end(self, ended: Ended) -> None:
+    def _end(self, ended: ActivityEnd) -> None:
         arm = self.state.arms[ended.arm]
         if ended.result is None:
             arm.is_parked = True

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 from halfseen.cell.kinematics import Angles
 from halfseen.cell.live_cell import Activity, Command, Grip, LiveCell, Move, Reserve, Rest, StoppedError
-from halfseen.cell.model import Robot
+from halfseen.cell.model import MountedArm
 from halfseen.cell.space import Reservations, Space
 
 DEADLOCK = "deadlock"
@@ -21,7 +21,7 @@ PATIENCE_S = 15.0
 _ASK_EVERY = 10  # ticks between two checks whether a space is free
 
 
-class Ended(NamedTuple):
+class ActivityEnd(NamedTuple):
     """The number of an arm and the result of its activity."""
 
     arm: int
@@ -29,7 +29,7 @@ class Ended(NamedTuple):
 
 
 @dataclass
-class Tally:
+class ConflictCounts:
     """Counts of conflicts between arms.
 
     How often an arm waited for space, the total waiting time [s], the number of deadlocks (including arms that waited
@@ -76,12 +76,12 @@ class Executor:
     An arm that waits for space longer than `patience_s` [s] counts as stuck.
     """
 
-    def __init__(self, cell: LiveCell, robots: Sequence[Robot], patience_s: float = PATIENCE_S) -> None:
+    def __init__(self, cell: LiveCell, robots: Sequence[MountedArm], patience_s: float = PATIENCE_S) -> None:
         self._cell, self._robots, self._patience_s = cell, robots, patience_s
         self._reservations = Reservations(cell, robots)
         self._workers = [_Worker() for _ in robots]
         self._steered: set[int] = set()
-        self.tally = Tally()
+        self.tally = ConflictCounts()
 
     def begin(self, arm: int, activity: Activity[Any]) -> None:
         """Start an activity of an idle arm."""
@@ -92,7 +92,7 @@ class Executor:
         """Whether an arm has an activity."""
         return self._workers[arm].activity is not None
 
-    def work(self, most_ticks: int | None = None) -> list[Ended]:
+    def work(self, most_ticks: int | None = None) -> list[ActivityEnd]:
         """Run until an arm has ended its activity.
 
         Parameters
@@ -112,7 +112,7 @@ class Executor:
         """
         if len(self._robots) == 1 and (activity := self._workers[0].activity) is not None:
             self._workers[0] = _Worker()
-            return [Ended(0, self._cell.carry_out(self._robots[0], activity))]
+            return [ActivityEnd(0, self._cell.carry_out(self._robots[0], activity))]
         num_ticks = 0
         while any(worker.activity is not None for worker in self._workers) and num_ticks != most_ticks:
             # If another arm's end interrupted this tick, arms already steered in it are not steered again.
@@ -127,7 +127,7 @@ class Executor:
             num_ticks += 1
         return []
 
-    def _tick(self, arm: int) -> Ended | None:
+    def _tick(self, arm: int) -> ActivityEnd | None:
         """Command an arm's servos for the next tick; return its result if its activity has ended."""
         worker, robot = self._workers[arm], self._robots[arm]
         while worker.activity is not None:
@@ -148,7 +148,7 @@ class Executor:
             except StopIteration as stopped:
                 worker.activity = None
                 self._reservations.let_go(arm)
-                return Ended(arm, stopped.value)
+                return ActivityEnd(arm, stopped.value)
             worker.answer = True
             self._take_up(arm, worker, command)
         return None

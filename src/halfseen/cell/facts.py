@@ -70,7 +70,7 @@ class GripLaw(Protocol):
 
 
 @dataclass(frozen=True)
-class TableSeen:
+class PerceivedTable:
     """One table as perceived: occlusions and positions, and the fields of `Facts` of each object."""
 
     plain: Scene
@@ -83,29 +83,31 @@ class TableSeen:
         return law.gripped(self.plain, [Facts(**each) for each in self.facts])
 
 
-def tables_seen() -> list[TableSeen]:
+def tables_seen() -> list[PerceivedTable]:
     """Read the cached views of the ten tables, in order."""
     tables = json.loads(_path().read_text(encoding="utf-8"))
     return [
-        TableSeen(Scene(np.array(one["hides"]), one["name"], places_m=np.array(one["places_m"])), tuple(one["facts"]))
+        PerceivedTable(
+            Scene(np.array(one["hides"]), one["name"], places_m=np.array(one["places_m"])), tuple(one["facts"])
+        )
         for one in tables
     ]
 
 
-def look_again() -> list[TableSeen]:
+def look_again() -> list[PerceivedTable]:
     """Perceive the ten tables again."""
     from halfseen.perception import perceive, read_cloud
     from halfseen.scene import table_paths
 
     views = [perceive(read_cloud(path)) for path in table_paths()]
-    return [TableSeen(view.scene(), tuple(asdict(each) for each in facts_of(view))) for view in views]
+    return [PerceivedTable(view.scene(), tuple(asdict(each) for each in facts_of(view))) for view in views]
 
 
 def _path() -> Path:
     return Path(str(files("halfseen.cell"))) / "tables_seen.json"
 
 
-def _as_json(seen: TableSeen) -> dict[str, Any]:
+def _as_json(seen: PerceivedTable) -> dict[str, Any]:
     assert seen.plain.places_m is not None
     places_m = seen.plain.places_m.round(6).tolist()
     return {"name": seen.plain.name, "hides": seen.plain.hides.tolist(), "places_m": places_m, "facts": seen.facts}

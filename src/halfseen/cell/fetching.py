@@ -10,8 +10,8 @@ from halfseen.arrays import Points
 from halfseen.cell.grasps import UP, Grasp
 from halfseen.cell.kinematics import Angles, Kinematics, Way, line
 from halfseen.cell.live_cell import Activity, Grip, LiveCell, Move, Reserve, Rest
-from halfseen.cell.model import Robot
-from halfseen.cell.planning import Plan, beginnings
+from halfseen.cell.model import MountedArm
+from halfseen.cell.planning import FetchPlan, beginnings
 from halfseen.errors import PlanError
 from halfseen.perception.clouds import Vector
 from halfseen.scene.poses import Pose, from_matrix
@@ -19,7 +19,7 @@ from halfseen.shapes import Bool, Float
 
 
 @dataclass(frozen=True)
-class Attempt:
+class ObservedAttempt:
     """Outcome of an attempt, as the robot observes it.
 
     `is_held` is whether the hand held an object after the lift and, when washing, put it into the rack. `duration_s` is
@@ -42,54 +42,54 @@ _LEAST_FELT_ELSE_M = 0.016
 _SETTLE_S = 0.3
 
 
-def come(plan: Plan) -> Activity[None]:
+def come(plan: FetchPlan) -> Activity[None]:
     """Move an open hand to the grasp of a plan."""
     yield Grip(plan.grasp.opening_m, seconds=0.0)
     yield Move(plan.hover)
     yield Move(plan.approach, _COMING)
 
 
-def pick_up(plan: Plan) -> Activity[None]:
+def pick_up(plan: FetchPlan) -> Activity[None]:
     """Close the hand and lift the object."""
     yield Grip(_PRESSED_M.get(plan.grasp.kind, 0.0))
     yield Move(plan.lift, _LIFTING)
     yield Rest(_SETTLE_S)
 
 
-def feels(cell: LiveCell, robot: Robot, grasp: Grasp) -> bool:
+def feels(cell: LiveCell, robot: MountedArm, grasp: Grasp) -> bool:
     """Whether an object keeps the closed hand open, judged by its finger positions."""
     return cell.opening_m(robot) > _LEAST_FELT_M.get(grasp.kind, _LEAST_FELT_ELSE_M)
 
 
-def put_down(plan: Plan) -> Activity[None]:
+def put_down(plan: FetchPlan) -> Activity[None]:
     """Put the lifted object back where it was and release it."""
     yield Move(np.concatenate([plan.lift[-2::-1], plan.approach[-1:]]), _PUTTING)
     yield from open_hand(plan)
 
 
-def open_hand(plan: Plan) -> Activity[None]:
+def open_hand(plan: FetchPlan) -> Activity[None]:
     """Open the hand in place, to the opening of the plan's grasp."""
     yield Grip(plan.grasp.opening_m, seconds=0.4)
 
 
-def draw_back(cell: LiveCell, robot: Robot, plan: Plan) -> Activity[None]:
+def draw_back(cell: LiveCell, robot: MountedArm, plan: FetchPlan) -> Activity[None]:
     """Draw an open hand back along its approach and go home."""
     yield Move(plan.way_out, _PUTTING)
     yield from go_home(cell, robot)
 
 
-def go_home(cell: LiveCell, robot: Robot) -> Activity[None]:
+def go_home(cell: LiveCell, robot: MountedArm) -> Activity[None]:
     """Go to the home position."""
     yield Move(home_from(cell, robot, cell.angles_rad(robot))[None])
     yield Rest(_SETTLE_S)
 
 
-def with_home(cell: LiveCell, robot: Robot, way: Way) -> Float[np.ndarray, "homeward J"]:
+def with_home(cell: LiveCell, robot: MountedArm, way: Way) -> Float[np.ndarray, "homeward J"]:
     """Append the home angles to a path, at the nearest turn of endless joints."""
     return np.concatenate([way, home_from(cell, robot, way[-1])[None]])
 
 
-def home_from(cell: LiveCell, robot: Robot, here_rad: Angles) -> Angles:
+def home_from(cell: LiveCell, robot: MountedArm, here_rad: Angles) -> Angles:
     """Home angles, at the turn of endless joints nearest to the given angles."""
     return cell.kinematics[robot.name].nearest_turn(np.array(robot.home_rad), here_rad)
 
@@ -103,7 +103,7 @@ _BESIDE_M, _BARE_M, _SLACK_M = 0.11, 0.08, 0.015
 
 
 def turned(
-    cell: LiveCell, robot: Robot, plan: Plan, rng: np.random.Generator, on_side: Callable[[int], None]
+    cell: LiveCell, robot: MountedArm, plan: FetchPlan, rng: np.random.Generator, on_side: Callable[[int], None]
 ) -> Activity[bool]:
     """Turn the lifted object in front of the camera, stop at each side, and return it to the top of the lift.
 
@@ -135,7 +135,7 @@ def turned(
 
 
 def _facing(
-    kinematics: Kinematics, plan: Plan, turn_rad: float, here: Angles, rng: np.random.Generator
+    kinematics: Kinematics, plan: FetchPlan, turn_rad: float, here: Angles, rng: np.random.Generator
 ) -> Angles | None:
     hand = np.eye(4)
     hand[:3, :3] = Rotation.from_rotvec(turn_rad * UP).as_matrix() @ plan.held.rotation
@@ -143,7 +143,7 @@ def _facing(
     return kinematics.solve_from(from_matrix(hand), beginnings(kinematics, here, rng), here)
 
 
-def is_in_hand(points_m: Points, hand: Pose, plan: Plan) -> Bool[np.ndarray, " n"]:
+def is_in_hand(points_m: Points, hand: Pose, plan: FetchPlan) -> Bool[np.ndarray, " n"]:
     """Mask of the world points [m] that belong to a held object; points are NaN where nothing returned.
 
     The object stood on the table, so it reaches as far below the hand as the hand was above the table.
@@ -166,7 +166,7 @@ class GaveWayError(PlanError):
 
 
 def put_away(
-    cell: LiveCell, robot: Robot, plan: Plan, middle_m: Vector, slot_m: Vector, rng: np.random.Generator
+    cell: LiveCell, robot: MountedArm, plan: FetchPlan, middle_m: Vector, slot_m: Vector, rng: np.random.Generator
 ) -> Activity[None]:
     """Put the lifted object into a slot of the rack and go home.
 
@@ -199,7 +199,7 @@ def put_away(
 
 
 def _ways(
-    kinematics: Kinematics, plan: Plan, beside_m: Vector, slot_m: Vector, begins: list[Angles]
+    kinematics: Kinematics, plan: FetchPlan, beside_m: Vector, slot_m: Vector, begins: list[Angles]
 ) -> tuple[Angles, Way]:
     """Joint angles over a slot and the path down, for the turn of the hand that needs the least motion."""
     above_table_m = plan.grasp.middle_m[2]

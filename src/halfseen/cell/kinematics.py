@@ -18,7 +18,7 @@ from math import pi
 import mujoco
 import numpy as np
 
-from halfseen.cell.model import Robot
+from halfseen.cell.model import MountedArm
 from halfseen.errors import PlanError
 from halfseen.scene.poses import Pose
 from halfseen.shapes import Bool, Float
@@ -49,7 +49,7 @@ class Kinematics:
         Lower and upper bound of each joint's start angles [rad].
     """
 
-    def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
+    def __init__(self, model: mujoco.MjModel, robot: MountedArm) -> None:
         self._model, self._data = model, mujoco.MjData(model)
         self._tcp = model.site(robot.of("gripper/tcp")).id
         joints = [model.joint(name) for name in robot.joint_names]

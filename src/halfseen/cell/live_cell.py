@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from halfseen.cell.kinematics import Angles, Kinematics, Way, schedule
-from halfseen.cell.model import Robot
+from halfseen.cell.model import MountedArm
 from halfseen.scene.poses import Pose
 from halfseen.scene.view import cup_name
 from halfseen.shapes import Float
@@ -90,7 +90,7 @@ class LiveCell:
         Functions called once per servo command.
     """
 
-    def __init__(self, model: mujoco.MjModel, robots: Sequence[Robot]) -> None:
+    def __init__(self, model: mujoco.MjModel, robots: Sequence[MountedArm]) -> None:
         self.model, self.data = model, mujoco.MjData(model)
         self.watches: list[Watch] = []
         # The cups are the first bodies of the model.
@@ -113,11 +113,11 @@ class LiveCell:
         """The cell's clock [s]."""
         return float(self.data.time)
 
-    def angles_rad(self, robot: Robot) -> Angles:
+    def angles_rad(self, robot: MountedArm) -> Angles:
         """Joint angles of a robot [rad]."""
         return np.array([self.data.joint(name).qpos[0] for name in robot.joint_names])
 
-    def opening_m(self, robot: Robot) -> float:
+    def opening_m(self, robot: MountedArm) -> float:
         """Opening between a robot's pads [m]."""
         return float(sum(self.data.joint(name).qpos[0] for name in robot.slide_names))
 
@@ -138,7 +138,7 @@ class LiveCell:
             for watch in self.watches:
                 watch(self)
 
-    def carry_out(self, robot: Robot, activity: Activity[Result]) -> Result:
+    def carry_out(self, robot: MountedArm, activity: Activity[Result]) -> Result:
         """Execute one robot's activity while all others stand still; every reservation is granted."""
         try:
             command = next(activity)
@@ -148,7 +148,7 @@ class LiveCell:
         except StopIteration as ended:
             return ended.value
 
-    def do(self, robot: Robot, command: Command) -> None:
+    def do(self, robot: MountedArm, command: Command) -> None:
         """Execute one robot's command while all others stand still."""
         match command:
             case Move():
@@ -162,17 +162,17 @@ class LiveCell:
             case Rest():
                 self.wait(command.seconds)
 
-    def commanded_rad(self, robot: Robot, move: Move) -> Float[np.ndarray, "ticks J"]:
+    def commanded_rad(self, robot: MountedArm, move: Move) -> Float[np.ndarray, "ticks J"]:
         """Servo angles for each tick along a path, from the current set points [rad]."""
         begin = np.array([self.data.actuator(name).ctrl[0] for name in robot.joint_names])
         plan = schedule(begin, move.way, move.speed * robot.arm.speeds_rad_s)
         return plan.at(self.tick_s * np.arange(1, np.ceil(plan.duration_s / self.tick_s) + 1))
 
-    def steer(self, robot: Robot, angles_rad: Angles) -> None:
+    def steer(self, robot: MountedArm, angles_rad: Angles) -> None:
         """Set the target angles of a robot's servos [rad]."""
         self.data.ctrl[[self.model.actuator(name).id for name in robot.joint_names]] = angles_rad
 
-    def close(self, robot: Robot, opening_m: float) -> None:
+    def close(self, robot: MountedArm, opening_m: float) -> None:
         """Set the target opening of the fingers [m], within their force limit; negative values press."""
         for name in robot.slide_names:
             self.data.actuator(name).ctrl = 0.5 * opening_m

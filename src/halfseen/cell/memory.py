@@ -72,7 +72,7 @@ class Trial(NamedTuple):
 
 
 @dataclass(eq=False)
-class Known:
+class KnownObject:
     """A known object.
 
     `middle_m` [m], `facts` and `surface_m`, points in the world [m], are from its last sighting. `seen` is its
@@ -97,7 +97,7 @@ class Known:
         """Whether it is no longer on the table, as far as the robot knows."""
         return self.is_racked or self.is_lost
 
-    def see(self, now: "Known | None") -> None:
+    def see(self, now: "KnownObject | None") -> None:
         """Update from its appearance in the last view; None if that does not show it."""
         self.seen = None if now is None else now.seen
         if now is not None:
@@ -131,12 +131,14 @@ class Memory:
     """
 
     def __init__(self) -> None:
-        self.objects: list[Known] = []
+        self.objects: list[KnownObject] = []
         self.world_from_table: Float[np.ndarray, "4 4"] = np.eye(4)
         self.hides: Hides = np.zeros((0, 0))
         self.doubts: tuple[str, ...] = ()
 
-    def update(self, view: View, world_from_table: Float[np.ndarray, "4 4"], in_hand: Sequence[Known] = ()) -> None:
+    def update(
+        self, view: View, world_from_table: Float[np.ndarray, "4 4"], in_hand: Sequence[KnownObject] = ()
+    ) -> None:
         """Update from a view: match known objects, mark vanished ones as lost, and add new ones.
 
         Parameters
@@ -183,7 +185,7 @@ class Memory:
         hides[np.ix_(is_seen, is_seen)] = view.hides[np.ix_(picked, picked)]
         return hides
 
-    def occlusion(self, number: int, in_hand: Sequence[Known] = ()) -> float:
+    def occlusion(self, number: int, in_hand: Sequence[KnownObject] = ()) -> float:
         """Hidden share of an object, as in states: 1 − Π_j (1 − hides[i, j]); objects in a hand hide nothing."""
         is_hiding = np.array([known not in in_hand for known in self.objects], dtype=bool)
         return float(1.0 - np.prod(1.0 - self.hides[number], where=is_hiding))
@@ -202,13 +204,13 @@ class Memory:
 
 def _objects_of(
     view: View, world_from_table: Float[np.ndarray, "4 4"], world_from_camera: Float[np.ndarray, "4 4"]
-) -> list[Known]:
+) -> list[KnownObject]:
     """The objects of a view as new known objects."""
     points_m, turned, moved_m = view.image.points_m.reshape(-1, 3), world_from_camera[:3, :3], world_from_camera[:3, 3]
     middles_m = [(world_from_table @ [*seen.solid.middle_m, 1.0])[:3] for seen in view.objects]
     surfaces_m = [points_m[seen.pixels] @ turned.T + moved_m for seen in view.objects]
-    return [Known(*each) for each in zip(middles_m, view.objects, facts_of(view), surfaces_m, strict=True)]
+    return [KnownObject(*each) for each in zip(middles_m, view.objects, facts_of(view), surfaces_m, strict=True)]
 
 
-def _middles_m(objects: list[Known]) -> Points:
+def _middles_m(objects: list[KnownObject]) -> Points:
     return np.array([known.middle_m for known in objects]).reshape(-1, 3)

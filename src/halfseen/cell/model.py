@@ -26,7 +26,7 @@ _BOX = mujoco.mjtGeom.mjGEOM_BOX
 
 
 @dataclass(frozen=True)
-class Robot:
+class MountedArm:
     """An arm with a gripper, and its placement.
 
     Parameters
@@ -110,7 +110,7 @@ class Rack:
 class Station(NamedTuple):
     """A robot, its own rack, and the largest distance from its base at which it is asked to grasp [m]."""
 
-    robot: Robot = Robot()
+    robot: MountedArm = MountedArm()
     rack: Rack = Rack()
     reach_m: float = inf
 
@@ -118,7 +118,7 @@ class Station(NamedTuple):
 def cell_model(
     cups: Sequence[Cup],
     world_from_cup: Sequence[Pose],
-    robots: Sequence[Robot] = (Robot(),),
+    robots: Sequence[MountedArm] = (MountedArm(),),
     racks: Sequence[Rack] = (Rack(),),
     contacts: Contacts = Contacts(),  # noqa: B008 - frozen
     frictions: Sequence[float] | None = None,
@@ -141,7 +141,7 @@ def cell_model(
 def cell_spec(
     cups: Sequence[Cup],
     world_from_cup: Sequence[Pose],
-    robots: Sequence[Robot] = (Robot(),),
+    robots: Sequence[MountedArm] = (MountedArm(),),
     racks: Sequence[Rack] = (Rack(),),
     contacts: Contacts = Contacts(),  # noqa: B008 - frozen
     frictions: Sequence[float] | None = None,
@@ -179,7 +179,7 @@ def cell_spec(
     return spec
 
 
-def _let_robots_meet(spec: mujoco.MjSpec, robots: Sequence[Robot]) -> None:
+def _let_robots_meet(spec: mujoco.MjSpec, robots: Sequence[MountedArm]) -> None:
     """Let parts of each robot collide with those of every other, but not with its own."""
     for number, robot in enumerate(robots):
         own = FIRST_ROBOT << number
@@ -192,7 +192,7 @@ def _let_robots_meet(spec: mujoco.MjSpec, robots: Sequence[Robot]) -> None:
 
 
 def _check(
-    cups: Sequence[Cup], world_from_cup: Sequence[Pose], robots: Sequence[Robot], frictions: Sequence[float] | None
+    cups: Sequence[Cup], world_from_cup: Sequence[Pose], robots: Sequence[MountedArm], frictions: Sequence[float] | None
 ) -> None:
     for what, given in (("poses", world_from_cup), ("frictions", cups if frictions is None else frictions)):
         if len(given) != len(cups):
@@ -203,7 +203,7 @@ def _check(
             raise SceneError(f"{names.count(name)} robots are called {name!r}; give each a name of its own")
 
 
-def _add_robot(spec: mujoco.MjSpec, robot: Robot, contacts: Contacts) -> None:
+def _add_robot(spec: mujoco.MjSpec, robot: MountedArm, contacts: Contacts) -> None:
     arm = robot.arm.spec()
     arm.attach(robot.gripper.spec(contacts), site=arm.site("flange"), prefix="gripper/")
     turn = [cos(0.5 * robot.turn_rad), 0, 0, sin(0.5 * robot.turn_rad)]
@@ -247,7 +247,7 @@ _LEFT_HOME_RAD = (-1.520, 2.736, 4.820, 2.797, 1.244, -1.864)
 def _station(name: str, side: float, home_rad: tuple[float, ...]) -> Station:
     (x_m, *base_m), (rack_x_m, *rack_m) = _BASE_M, _RACK_M
     turn_rad = 0.0 if side < 0 else np.pi
-    robot = Robot(name, (side * x_m, base_m[0], base_m[1]), float(turn_rad), home_rad=home_rad)
+    robot = MountedArm(name, (side * x_m, base_m[0], base_m[1]), float(turn_rad), home_rad=home_rad)
     return Station(robot, Rack((side * rack_x_m, rack_m[0], rack_m[1]), _RACK_SIZE_M), _REACH_M)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from halfseen.cell.arm import SerialArm
 from halfseen.cell.grasps import Grasp
 from halfseen.cell.kinematics import Angles, Kinematics, Way, line
-from halfseen.cell.model import Robot, cell_model
+from halfseen.cell.model import MountedArm, cell_model
 from halfseen.errors import PlanError
 from halfseen.scene.poses import Pose, from_matrix
 from halfseen.scene.table import TABLE_TOP_M
@@ -35,7 +35,7 @@ class OutOfReachError(PlanError):
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class FetchPlan:
     """Plan to fetch an object: `grasp` in the table frame and `held`, the hand's pose there in the world.
 
     Joint angles go down to the start of the approach (`hover`), straight to the grasp (`approach`), and straight up
@@ -75,7 +75,7 @@ def plans(
     kinematics: Kinematics,
     begin_rad: Angles,
     rng: np.random.Generator,
-) -> Iterator[Plan]:
+) -> Iterator[FetchPlan]:
     """Plan the grasps that the robot can execute.
 
     Parameters
@@ -129,7 +129,7 @@ def _planned(
     kinematics: Kinematics,
     begin_rad: Angles,
     rng: np.random.Generator,
-) -> Plan:
+) -> FetchPlan:
     back_m = grasp.middle_m - APPROACH_M * grasp.approach
     before, angles = _first(_poses(grasp, back_m, world_from_table), kinematics, begin_rad, rng)
     x_m, y_m, z_m = (world_from_table @ [*grasp.middle_m, 1.0])[:3].tolist()
@@ -139,7 +139,7 @@ def _planned(
     hover = np.concatenate([_above(kinematics, angles, before), angles[None]])
     for way in (hover, approach, lift):
         kinematics.refuse_furniture(way)
-    return Plan(grasp, held, hover, approach, lift)
+    return FetchPlan(grasp, held, hover, approach, lift)
 
 
 def _above(kinematics: Kinematics, angles: Angles, before: Pose) -> Way:
@@ -197,7 +197,7 @@ _CORNER_RAD = 0.05
 _NUM_REACHED = 2000
 
 
-def robot_of(arm: SerialArm, *, stands_m: Sequence[tuple[float, float, float]] = STANDS_M) -> Robot:
+def robot_of(arm: SerialArm, *, stands_m: Sequence[tuple[float, float, float]] = STANDS_M) -> MountedArm:
     """Make a robot from any arm: find its base position, with the base's x towards the table, and its home angles.
 
     Parameters
@@ -225,11 +225,11 @@ def robot_of(arm: SerialArm, *, stands_m: Sequence[tuple[float, float, float]] =
     return best
 
 
-def _standing(arm: SerialArm, base_m: tuple[float, float, float]) -> Robot:
-    return Robot(base_m=base_m, turn_rad=-pi / 2, arm=arm, home_rad=(0.0,) * arm.num_joints)
+def _standing(arm: SerialArm, base_m: tuple[float, float, float]) -> MountedArm:
+    return MountedArm(base_m=base_m, turn_rad=-pi / 2, arm=arm, home_rad=(0.0,) * arm.num_joints)
 
 
-def home_rad(robot: Robot) -> tuple[Angles | None, int]:
+def home_rad(robot: MountedArm) -> tuple[Angles | None, int]:
     """Find a robot's home angles.
 
     Parameters
@@ -290,7 +290,7 @@ def _is_cornered(kinematics: Kinematics, angles: Angles) -> bool:
     return bool((np.abs(angles[:, None] - kinematics.limits_rad) < _CORNER_RAD).any())
 
 
-def _height_m(shown: mujoco.MjData, robot: Robot, angles: Angles) -> float:
+def _height_m(shown: mujoco.MjData, robot: MountedArm, angles: Angles) -> float:
     """Mean height of the arm's joints above the floor [m]."""
     for name, angle in zip(robot.joint_names, angles, strict=True):
         shown.joint(name).qpos = angle
@@ -298,7 +298,7 @@ def _height_m(shown: mujoco.MjData, robot: Robot, angles: Angles) -> float:
     return float(np.mean([shown.joint(name).xanchor[2] for name in robot.joint_names]))
 
 
-def _too_far(robot: Robot) -> str:
+def _too_far(robot: MountedArm) -> str:
     kinematics, rng = Kinematics(cell_model([], [], (robot,)), robot), np.random.default_rng(0)
     drawn = rng.uniform(*kinematics.search_rad.T, size=(_NUM_REACHED, robot.arm.num_joints))
     base_m = np.array(robot.base_m)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from halfseen.arrays import Points, Rows
-from halfseen.cell.fetching import Attempt
+from halfseen.cell.fetching import ObservedAttempt
 from halfseen.cell.workcell import Workcell
 from halfseen.scene.table import TABLE_TOP_M
 from halfseen.shapes import Bool, Float
@@ -27,7 +27,7 @@ _TOPPLED_COSINE = 0.5
 _ON_TABLE_M = 0.05  # a cup on the table has its origin at most this far below the table's top
 
 
-class Truth:
+class CupsTruth:
     """Ground truth of the cups: dirtiness and poses, which no decision uses."""
 
     def __init__(self, cell: Workcell, is_dirty: Bool[np.ndarray, " N"]) -> None:
@@ -179,7 +179,7 @@ class EpisodeStatistics:
     """Accumulates the rewards of a table from the start of the episode; `truth` is the ground truth of its cups."""
 
     def __init__(self, run: Run, cell: Workcell, is_dirty: Bool[np.ndarray, " N"], config: WorldConfig) -> None:
-        self.run, self.truth = run, Truth(cell, is_dirty)
+        self.run, self.truth = run, CupsTruth(cell, is_dirty)
         self._cell, self._config = cell, config
         self._reward = self._luck = 0.0
         self._own = [0.0 for _ in cell.stations]
@@ -194,7 +194,7 @@ class EpisodeStatistics:
         """Count a decision."""
         self.run.verbs[verb] = self.run.verbs.get(verb, 0) + 1
 
-    def end(self, attempt: Attempt, verb: int, chance: float, seconds: float, arm: int = 0) -> None:
+    def end(self, attempt: ObservedAttempt, verb: int, chance: float, seconds: float, arm: int = 0) -> None:
         """Book an attempt that has ended.
 
         Parameters

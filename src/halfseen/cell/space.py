@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from halfseen.arrays import Points
 from halfseen.cell.kinematics import Angles, Way
 from halfseen.cell.live_cell import LiveCell
-from halfseen.cell.model import Robot
+from halfseen.cell.model import MountedArm
 from halfseen.shapes import Bool, Float
 
 MARGIN_M = 0.04
@@ -67,7 +67,7 @@ class Space:
 class Outline:
     """Computes the space of one arm."""
 
-    def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
+    def __init__(self, model: mujoco.MjModel, robot: MountedArm) -> None:
         self._model, self._data = model, mujoco.MjData(model)
         self._joints = np.array([model.joint(name).qposadr[0] for name in robot.joint_names])
         for name in robot.slide_names:
@@ -140,7 +140,7 @@ def _line(half_m: float) -> Float[np.ndarray, " n"]:
 class Reservations:
     """The spaces that arms have reserved in a cell."""
 
-    def __init__(self, cell: LiveCell, robots: Sequence[Robot]) -> None:
+    def __init__(self, cell: LiveCell, robots: Sequence[MountedArm]) -> None:
         self._cell, self._robots = cell, robots
         self._outlines = [Outline(cell.model, robot) for robot in robots]
         self._reserved: list[Space | None] = [None for _ in robots]
@@ -201,7 +201,7 @@ class Touches:
     lasts as long as the contact; `begun_s` are the start times [s]. An arm holds a cup if both its fingers touch it.
     """
 
-    def __init__(self, cell: LiveCell, robots: Sequence[Robot]) -> None:
+    def __init__(self, cell: LiveCell, robots: Sequence[MountedArm]) -> None:
         model = cell.model
         self._arm_of_body = np.full(model.nbody, _FREE)
         self._fingers: list[tuple[int, int]] = []

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from halfseen.cell.facts import Facts
-from halfseen.cell.fetching import Attempt
-from halfseen.cell.memory import Known, Memory
+from halfseen.cell.fetching import ObservedAttempt
+from halfseen.cell.memory import KnownObject, Memory
 from halfseen.cell.workcell import Workcell
 from halfseen.perception.clouds import Vector
 from halfseen.planners.belief import known_seeing
@@ -69,7 +69,7 @@ def state_of(memory: Memory, belief: Belief, steps_to_go: int) -> TableState:
     )
 
 
-def _evidence(known: Known, config: WorldConfig) -> tuple[float, float]:
+def _evidence(known: KnownObject, config: WorldConfig) -> tuple[float, float]:
     """Log-odds of DIRTY given all labels, and the share of the object that counts as seen."""
     law, seen = known_seeing(config), 0.0
     log_odds = float(np.log(config.dirty_share) - np.log1p(-config.dirty_share))
@@ -88,7 +88,7 @@ def rows_of(memory: Memory, belief: Belief) -> list[dict[str, Any]]:
     return [{**_row(number, known, memory, belief), **places[number]} for number, known in enumerate(memory.objects)]
 
 
-def _row(number: int, known: Known, memory: Memory, belief: Belief) -> dict[str, Any]:
+def _row(number: int, known: KnownObject, memory: Memory, belief: Belief) -> dict[str, Any]:
     held = [trial.is_held for trial in known.trials]
     log_odds, seen = _evidence(known, belief.config)
     return {
@@ -168,7 +168,7 @@ class CellState:
         self._belief = belief._replace(config=replace(belief.config, horizon=horizon * num_arms))
         self._too_far: dict[tuple[int, int], Vector] = {}
 
-    def learn(self, arm: int, number: int, attempt: Attempt) -> None:
+    def learn(self, arm: int, number: int, attempt: ObservedAttempt) -> None:
         """Learn from an attempt which objects an arm cannot reach.
 
         A failure for lack of reach is remembered as long as the object stays in place and nothing changes on the table.

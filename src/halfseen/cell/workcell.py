@@ -17,13 +17,13 @@ import numpy as np
 
 from halfseen.arrays import Image
 from halfseen.cell import fetching
-from halfseen.cell.camera import CellCamera, Errors, perceived_whole
-from halfseen.cell.fetching import Attempt, GaveWayError
+from halfseen.cell.camera import CellCamera, PoseErrors, perceived_whole
+from halfseen.cell.fetching import GaveWayError, ObservedAttempt
 from halfseen.cell.grasps import GRASPING, ranked, surroundings
 from halfseen.cell.live_cell import Activity, Guard, LiveCell, Reserve, Stops
-from halfseen.cell.memory import Known, Memory, Trial
-from halfseen.cell.model import Rack, Robot, Station, cell_model
-from halfseen.cell.planning import OutOfReachError, Plan, plans
+from halfseen.cell.memory import KnownObject, Memory, Trial
+from halfseen.cell.model import MountedArm, Rack, Station, cell_model
+from halfseen.cell.planning import FetchPlan, OutOfReachError, plans
 from halfseen.errors import PlanError, SceneError
 from halfseen.perception.clouds import Cloud, Vector
 from halfseen.perception.labels import Labeller, StainCounter
@@ -99,7 +99,7 @@ class Workcell:
         frictions: Sequence[float] | None = None,
         grasping: str = "completed",
         labeller: Labeller = StainCounter(),  # noqa: B008 - frozen
-        errors: Errors = Errors(),  # noqa: B008 - frozen
+        errors: PoseErrors = PoseErrors(),  # noqa: B008 - frozen
         stops: Stops | None = None,
     ) -> None:
         if not table.is_over_top.all():
@@ -113,10 +113,10 @@ class Workcell:
         robots, racks = [each.robot for each in self.stations], [each.rack for each in self.stations]
         model = cell_model(table.cups, table.world_from_cup, robots, racks, frictions=frictions)
         self.table, self.surfaces = table, surfaces
-        self.memory, self.in_hand = Memory(), dict[int, Known]()
+        self.memory, self.in_hand = Memory(), dict[int, KnownObject]()
         self.view: View | None = None
         self.cloud: Cloud | None = None
-        self.planned: list[Plan | None] = [None] * len(robots)
+        self.planned: list[FetchPlan | None] = [None] * len(robots)
         self.cell = LiveCell(model, robots)
         self._rng, self._grasping, self._labeller = rng, GRASPING[grasping], labeller
         self._eye = CellCamera(self.cell, table.camera, surfaces=surfaces)
@@ -129,7 +129,7 @@ class Workcell:
             self.cell.watches.append(self._guard)
 
     @property
-    def robot(self) -> Robot:
+    def robot(self) -> MountedArm:
         """The first robot."""
         return self.stations[0].robot
 
@@ -149,7 +149,7 @@ class Workcell:
         look = self._eye.look(self._rng)
         return self._take_in(look.cloud, look.robots_m)
 
-    def lift(self, number: int) -> Attempt:
+    def lift(self, number: int) -> ObservedAttempt:
         """Attempt to lift an object, turn it in front of the camera, and put it back where it was.
 
         Parameters
@@ -164,11 +164,11 @@ class Workcell:
         """
         return self.cell.carry_out(self.robot, self.lifting(number))
 
-    def wash(self, number: int) -> Attempt:
+    def wash(self, number: int) -> ObservedAttempt:
         """Attempt to put an object into the rack; parameter and errors as for `lift`."""
         return self.cell.carry_out(self.robot, self.washing(number))
 
-    def lifting(self, number: int, arm: int = 0) -> Activity[Attempt]:
+    def lifting(self, number: int, arm: int = 0) -> Activity[ObservedAttempt]:
         """Do what `lift` does, command by command, with robot number `arm`."""
         known, robot = self.memory.objects[number], self.stations[arm].robot
         sight = self._sight(number)
@@ -187,7 +187,7 @@ class Workcell:
             yield from self._put_back(arm, done, has_way=has_way)
         return attempt
 
-    def washing(self, number: int, arm: int = 0) -> Activity[Attempt]:
+    def washing(self, number: int, arm: int = 0) -> Activity[ObservedAttempt]:
         """Do what `wash` does, command by command, with robot number `arm`."""
         known = self.memory.objects[number]
         attempt, done = yield from self._fetched(number, arm)
@@ -207,7 +207,7 @@ class Workcell:
         self._used_slots[arm].append(slot)
         return attempt
 
-    def _put_away(self, arm: int, done: Plan, middle_m: Vector) -> Activity[int]:
+    def _put_away(self, arm: int, done: FetchPlan, middle_m: Vector) -> Activity[int]:
         """Put the held object into a free slot of the robot's rack and return the slot."""
         robot, rack = self.stations[arm].robot, self.stations[arm].rack
         used, slots_m = self._used_slots[arm], rack.slots_m
@@ -226,7 +226,7 @@ class Workcell:
                 return slot
         raise AssertionError("the last slot is taken or refused")
 
-    def _put_back(self, arm: int, done: Plan, *, has_way: bool) -> Activity[None]:
+    def _put_back(self, arm: int, done: FetchPlan, *, has_way: bool) -> Activity[None]:
         """Put the held object back; `has_way` is true if the way back is already reserved."""
         robot = self.stations[arm].robot
         if not has_way:
@@ -262,7 +262,7 @@ class Workcell:
         hand = self.cell.kinematics[robot.name].hand(self.cell.angles_rad(robot))
         return fetching.is_in_hand(self._believed.apply(cloud.points_m), hand, plan)
 
-    def _label_of_held(self, known: Known, before: SeenObject, arm: int, *, is_first: bool) -> bool | None:
+    def _label_of_held(self, known: KnownObject, before: SeenObject, arm: int, *, is_first: bool) -> bool | None:
         """Label one side of a held object; at the first side, also take in what the object had hidden."""
         look = self._eye.look(self._rng)
         cloud = look.cloud
@@ -276,7 +276,7 @@ class Workcell:
         (label,) = self._labeller(replace(self.view, image=range_image(cloud), objects=(held,)), cloud)
         return label.is_dirty
 
-    def _fetched(self, number: int, arm: int) -> Activity[tuple[Attempt, Plan | None]]:
+    def _fetched(self, number: int, arm: int) -> Activity[tuple[ObservedAttempt, FetchPlan | None]]:
         """Try to fetch an object; if the grasp fails, the hand opens and returns home."""
         occlusion, robot = self.memory.occlusion(number), self.stations[arm].robot
         known, self.planned[arm] = self.memory.objects[number], None
@@ -287,9 +287,9 @@ class Workcell:
             # If another robot may reach the object, this failure is no evidence about it.
             if not (is_too_far and len(self.stations) > 1):
                 known.trials.append(Trial(occlusion, False, 0.0, arm))
-            return Attempt(False, 0.0, None, str(error), is_too_far=is_too_far), None
+            return ObservedAttempt(False, 0.0, None, str(error), is_too_far=is_too_far), None
         if planned is None:
-            return Attempt(False, 0.0, None, "another arm was in the way of every grasp"), None
+            return ObservedAttempt(False, 0.0, None, "another arm was in the way of every grasp"), None
         begin_s = self.cell.time_s
         with self._guard.timing(begin_s) if self._guard else nullcontext():
             yield from fetching.come(planned)
@@ -305,11 +305,11 @@ class Workcell:
             yield from fetching.open_hand(planned)
             yield from fetching.draw_back(self.cell, robot, planned)
         reason = "" if is_held else "the hand closed on nothing, or lost the object"
-        return Attempt(is_held, duration_s, planned.grasp.kind, reason), planned
+        return ObservedAttempt(is_held, duration_s, planned.grasp.kind, reason), planned
 
-    def _free_plan(self, number: int, arm: int) -> Activity[Plan | None]:
+    def _free_plan(self, number: int, arm: int) -> Activity[FetchPlan | None]:
         """The best plan not blocked by another robot; if all are blocked, the best plan once its way is free."""
-        first: Plan | None = None
+        first: FetchPlan | None = None
         for found in islice(self._plans(number, arm), MOST_TAKEN):
             first = first or found
             if (yield Reserve(found.way_in, is_patient=False, below_m=found.below_m)):
@@ -317,7 +317,7 @@ class Workcell:
         assert first is not None, "there is a plan, or an error"
         return first if (yield Reserve(first.way_in, below_m=first.below_m)) else None
 
-    def _plans(self, number: int, arm: int) -> Iterator[Plan]:
+    def _plans(self, number: int, arm: int) -> Iterator[FetchPlan]:
         sight = self._sight(number)
         if sight is None:
             raise PlanError("the object is not in view; look again, or clear what stands in front of it")

@@ -97,7 +97,7 @@ def calibrate(
     attempts: int,
     visible_only: int,
     given: Path | None,
-    arm: options.Arm,
+    arm: options.ArmOption,
     workers: "Workers",
     seed: int,
     as_json: bool,

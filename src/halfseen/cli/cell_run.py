@@ -67,7 +67,7 @@ def run(
     port: int,
     record: Path | None,
     num_arms: int,
-    arm: options.Arm,
+    arm: options.ArmOption,
     workers: "Workers",
     seed: int,
     as_json: bool,
@@ -201,7 +201,7 @@ def _following(
 @options.seed("film")
 @options.overwrite("a film that is")
 def film(
-    name: str, out: Path, law: str, table: int, num_arms: int, arm: options.Arm, seed: int, overwrite: bool
+    name: str, out: Path, law: str, table: int, num_arms: int, arm: options.ArmOption, seed: int, overwrite: bool
 ) -> None:
     """Film how a policy clears a table in physics, eight times faster than real time, with its decisions.
 

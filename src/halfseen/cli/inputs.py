@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from halfseen.cli.messages import say, tell_warning
-from halfseen.cli.options import ASSUMED, SHIPPED, Arm
+from halfseen.cli.options import ASSUMED, SHIPPED, ArmOption
 from halfseen.errors import ArgumentError, CloudError, PolicyError, did_you_mean
 from halfseen.planners import HEURISTICS, PLANNER, exploring, named_policy
 from halfseen.writing import refuse_taken, refuse_unwritable, write_file
@@ -90,7 +90,7 @@ def read_robots(file: Path | None) -> "Team | None":
     return read_team(file, partial(_grasping_of, beside=file.parent))
 
 
-def stations_for(arm: Arm, num_arms: int = 1) -> "tuple[tuple[Station, ...], str]":
+def stations_for(arm: ArmOption, num_arms: int = 1) -> "tuple[tuple[Station, ...], str]":
     """Stations of the arms, and the name of the arm, with a digest if it comes from a file.
 
     Raises

@@ -36,7 +36,7 @@ class _Place(click.Path):
 PLACE = _Place(path_type=Path)
 
 
-class Choice(click.Choice):
+class WordChoice(click.Choice):
     """One of some words; an error suggests a similar word."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -101,7 +101,7 @@ def real(*names: str, text: str, default: float | None = None, **bounds: Any) ->
 
 def word(*names: str, of: Any, text: str, default: str | None = None) -> Any:
     """An option that is one of some words."""
-    return click.option(*names, type=Choice(of), default=default, help=text)
+    return click.option(*names, type=WordChoice(of), default=default, help=text)
 
 
 def names(option: str, text: str) -> Any:
@@ -187,7 +187,7 @@ class Cuts(NamedTuple):
 cuts = gathered("cuts", Cuts, *Cuts._fields)
 
 
-class Arm(NamedTuple):
+class ArmOption(NamedTuple):
     """An arm from a file; all None for the default arm."""
 
     file: Path | None
@@ -242,7 +242,7 @@ arm = several(
     path("--arm", text="MJCF or URDF file of another arm; by default the Jaco 2."),
     click.option("--flange", help="With --arm: site or body where the hand is mounted; by default it is found."),
     names("--joints", "With --arm: its hinges from the base on, as pan,lift; by default all up to the flange."),
-    gathered("arm", Arm, "arm", "flange", "joints"),
+    gathered("arm", ArmOption, "arm", "flange", "joints"),
 )
 num_arms = whole("--arms", "num_arms", least=1, most=2, default=1, text="One arm behind the table, or two at its ends.")
 workers = several(

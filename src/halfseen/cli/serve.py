@@ -155,7 +155,7 @@ def serve(
 
     from halfseen.monitoring.dealing import Terms
     from halfseen.serving.app import app_of
-    from halfseen.serving.comparing import Comparison
+    from halfseen.serving.comparing import LiveComparison
     from halfseen.serving.limits import bound_socket
     from halfseen.serving.limits import serve as answer
     from halfseen.serving.recording import RecordedTrajectories
@@ -198,7 +198,7 @@ def serve(
         rng, recent = np.random.default_rng(seed), Recent(watch)
         served.answering = Answering(epsilon, table, rng, trajectories, recent=recent)
         if against is not None and record is not None:
-            held = Comparison(served.service, against, record, Terms(share, most_loss), seed, say)
+            held = LiveComparison(served.service, against, record, Terms(share, most_loss), seed, say)
             served.answering = replace(served.answering, comparison=held)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"

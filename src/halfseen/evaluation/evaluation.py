@@ -14,7 +14,7 @@ import numpy as np
 
 from halfseen.evaluation.comparison import Comparison, Contender, deciding, rate_of
 from halfseen.evaluation.estimate import Estimate
-from halfseen.evaluation.problem import Problem, logging_contribution
+from halfseen.evaluation.problem import EvaluationProblem, logging_contribution
 from halfseen.evaluation.verdict import Needed, Verdict, in_words
 from halfseen.learning.rows import TrajectoryArrays
 from halfseen.text_table import aligned
@@ -46,7 +46,7 @@ class PerHour:
     """The reason, in plain words; None if both are known."""
 
 
-def per_hour(problem: Problem, policy: Contender, logging: Contender, level: float) -> PerHour:
+def per_hour(problem: EvaluationProblem, policy: Contender, logging: Contender, level: float) -> PerHour:
     """Estimate the reward per hour of a policy and of the logging policy from their contributions."""
     why = why_no_rate(problem.trajectories)
     if why is not None:
@@ -67,7 +67,7 @@ def _rate(earned: Contender, took: Contender, level: float) -> Rate | None:
     return Rate(replace(rate, **scaled), took.estimate(level))
 
 
-def with_durations(problem: Problem) -> Problem:
+def with_durations(problem: EvaluationProblem) -> EvaluationProblem:
     """The same log, with durations of completed stages as rewards."""
     trajectories = problem.trajectories
     took_s = np.where(trajectories.is_completed, trajectories.clocks.watched_s, 0.0)

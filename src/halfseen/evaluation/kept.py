@@ -40,7 +40,7 @@ UNITS = {
 
 
 @dataclass(frozen=True)
-class Kept:
+class PromiseCheck:
     """A later log compared with the promise of a policy."""
 
     sentence: str
@@ -65,14 +65,14 @@ def earned_here(policy: Any, logs: Logs, q: QSpec | None, found: Evaluation) -> 
     return (found.logging if is_own else found.doubly_robust), is_own
 
 
-def kept_promise(promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_own: bool) -> Kept:
+def kept_promise(promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_own: bool) -> PromiseCheck:
     """Compare a later log, and the return of the policy on it, with a promise.
 
     `halfseen.policies.folder` stores the promise.
     """
     promised, told = promise["value"], drifts_of(promise["stages"], logs)
     if promised is None:
-        return Kept("", *told)
+        return PromiseCheck("", *told)
     verb = "earned" if is_own else "would earn"
     earning = f"{verb} {earned.value:.3g} a trajectory here ({earned.low:.3g} to {earned.high:.3g})"
     error = float(np.hypot(promised["standard_error"], earned.standard_error))
@@ -80,7 +80,7 @@ def kept_promise(promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_ow
     words = "less than promised" if less > 0 else "more than promised"
     words = "as promised" if abs(less) <= AS_PROMISED * error else words
     range_ = f"{promised['low']:.3g} to {promised['high']:.3g}"
-    return Kept(f"Promised {promised['value']:.3g} a trajectory ({range_}); it {earning}: {words}.", *told)
+    return PromiseCheck(f"Promised {promised['value']:.3g} a trajectory ({range_}); it {earning}: {words}.", *told)
 
 
 def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[tuple[str, ...], tuple[str, ...]]:

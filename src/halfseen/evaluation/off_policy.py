@@ -18,7 +18,7 @@ from halfseen.evaluation.comparison import Contender, compared, deciding, joint_
 from halfseen.evaluation.estimate import around, check_level, estimate_of
 from halfseen.evaluation.evaluation import Evaluation, per_hour
 from halfseen.evaluation.logging_rule import logging_rule
-from halfseen.evaluation.problem import Nuisances, Problem, following, logging_contribution, problem_of
+from halfseen.evaluation.problem import EvaluationProblem, Nuisances, following, logging_contribution, problem_of
 from halfseen.evaluation.specification import QSpec, default_q, default_targets, q_model_of, task_of
 from halfseen.evaluation.stepped_back import with_its_rule
 from halfseen.evaluation.targets import (
@@ -85,7 +85,7 @@ HISTORY_COUNTS = (
 class Case(NamedTuple):
     """A policy, with the evidence of a log on it."""
 
-    problem: Problem
+    problem: EvaluationProblem
     judged: FittedValues
     contender: Contender
 
@@ -94,7 +94,7 @@ class Case(NamedTuple):
 class Judge:
     """A log prepared for evaluating policies of one task, each against the same baselines."""
 
-    problem: Problem
+    problem: EvaluationProblem
     """The log, with the first policy."""
     logs: Logs
     """The log as given."""
@@ -109,12 +109,12 @@ class Judge:
     doubt: str | None = None
     """Why no verdict can rest on the log; None if no check fails."""
 
-    def problem_of(self, policy: Any) -> Problem:
+    def problem_of(self, policy: Any) -> EvaluationProblem:
         """The same log with another policy."""
         given = self.problem
         return following(given, target_probabilities(policy, given.logs, given.trajectories, given.model.task))
 
-    def case(self, problem: Problem) -> Case:
+    def case(self, problem: EvaluationProblem) -> Case:
         """Fit Q of a policy, and compute the contribution of each trajectory."""
         return _case("the policy", problem, problem.nuisances)
 
@@ -172,7 +172,12 @@ def _undecided(found: Evaluation, doubt: str) -> Evaluation:
 
 
 def _contenders(
-    baselines: Sequence[Baseline], own: Contender, problem: Problem, logs: Logs, is_logged: bool, is_default: bool
+    baselines: Sequence[Baseline],
+    own: Contender,
+    problem: EvaluationProblem,
+    logs: Logs,
+    is_logged: bool,
+    is_default: bool,
 ) -> tuple[tuple[Contender, ...], tuple[str, ...]]:
     """Evidence of the log on each baseline, and how it was obtained.
 
@@ -202,7 +207,7 @@ def _contenders(
     return tuple(contenders), tuple(notes)
 
 
-def _case(name: str, problem: Problem, nuisances: Sequence[Nuisances]) -> Case:
+def _case(name: str, problem: EvaluationProblem, nuisances: Sequence[Nuisances]) -> Case:
     judged = problem.judged(nuisances)
     settled = problem.settled(judged)
     found = settled.contribution(judged, name)

@@ -42,7 +42,7 @@ SURE = 1.0 - 1e-9
 """With this probability or more, the log takes no other action."""
 
 
-class Problem(NamedTuple):
+class EvaluationProblem(NamedTuple):
     """A log, the probabilities of a policy in it, and everything fitted before Q."""
 
     logs: Logs
@@ -108,7 +108,7 @@ class Problem(NamedTuple):
         stage_weights = completed_weights if given.imputation is None else begun_weights
         return stage_weights(self.ratio, given.uncut, self.trajectories)
 
-    def settled(self, judged: FittedValues) -> "Problem":
+    def settled(self, judged: FittedValues) -> "EvaluationProblem":
         """The same with products of ratios if the history predicts the outcome of a stage beyond its state."""
         if self.marginal is None or self.history_deviate(judged) <= CLEARLY:
             return self
@@ -183,7 +183,7 @@ class Problem(NamedTuple):
 
 def problem_of(
     policy: Any, logs: Logs, model: QModel, propensity: str, rng: np.random.Generator, num_folds: int
-) -> Problem:
+) -> EvaluationProblem:
     """Fit everything before Q, to all trajectories and without each fold."""
     model, trajectories = model.fitted(logs)
     if model.cut_model is None and not logs.is_finished.all():
@@ -209,13 +209,15 @@ def problem_of(
     beyond = np.zeros((*is_begun.shape, 0))
     if isinstance(task, NamedActions):
         beyond = states_of(logs, trajectories, task.categories, left_out=task.covariates)
-    given = Problem(logs, trajectories, log, model, fold, likely, nuisances, alike, support, beyond, None)
+    given = EvaluationProblem(logs, trajectories, log, model, fold, likely, nuisances, alike, support, beyond, None)
     return following(given._replace(chances=chances), probabilities)
 
 
 def following(
-    problem: Problem, probabilities: Float[np.ndarray, "n T A"], is_taken: Bool[np.ndarray, "n T"] | None = None
-) -> Problem:
+    problem: EvaluationProblem,
+    probabilities: Float[np.ndarray, "n T A"],
+    is_taken: Bool[np.ndarray, "n T"] | None = None,
+) -> EvaluationProblem:
     """The same log with another policy; `is_taken` is whether it takes the logged action, if the log reveals it."""
     trajectories = problem.trajectories
     followed = probabilities if is_taken is None else _one_hot(trajectories) * is_taken[..., None]
@@ -238,14 +240,14 @@ def following(
     )
 
 
-def as_logged(problem: Problem) -> Problem:
+def as_logged(problem: EvaluationProblem) -> EvaluationProblem:
     """The same log, with the logged actions as the policy: ρ is 1, and no propensity is needed."""
     log = problem.log._replace(policy=_one_hot(problem.trajectories))
     ratio = np.ones_like(problem.ratio)
     return problem._replace(log=log, ratio=ratio, squared_ratio=1.0, is_revealed=False, marginal=None)
 
 
-def logging_contribution(problem: Problem, name: str = "") -> Contender:
+def logging_contribution(problem: EvaluationProblem, name: str = "") -> Contender:
     """Contribution of each trajectory to the logging policy's value; also doubly robust if targets are imputed."""
     own = as_logged(problem)
     if own.log.imputation is not None:
@@ -279,7 +281,9 @@ def _support(probabilities: Float[np.ndarray, "n T A"], trajectories: Trajectory
     return np.where(known.any(axis=0), (known & taken).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 1.0)
 
 
-def _unexplored(probabilities: Float[np.ndarray, "n T A"], problem: Problem, single: Float[np.ndarray, "n T"]) -> float:
+def _unexplored(
+    probabilities: Float[np.ndarray, "n T A"], problem: EvaluationProblem, single: Float[np.ndarray, "n T"]
+) -> float:
     """Share of the completed stages in which the policy would take an action that the log could not take."""
     trajectories, likely = problem.trajectories, problem.likely
     known = trajectories.is_completed & trajectories.has_action

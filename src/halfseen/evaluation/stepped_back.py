@@ -70,7 +70,7 @@ class WithItsRule:
         return (pd.Index(self.actions).get_indexer(taken)[:, None] == np.arange(len(self.actions))).astype(np.float64)
 
 
-class Served(NamedTuple):
+class ServedLog(NamedTuple):
     """A policy, and a log of its service that models can be fitted to."""
 
     policy: Any
@@ -79,7 +79,9 @@ class Served(NamedTuple):
     """Where the rule decided, and which categories were replaced, and by which."""
 
 
-def with_its_rule(policy: Any, logs: Logs, is_outside: Callable[[Any], Bool[np.ndarray, " m"]] | None = None) -> Served:
+def with_its_rule(
+    policy: Any, logs: Logs, is_outside: Callable[[Any], Bool[np.ndarray, " m"]] | None = None
+) -> ServedLog:
     """Combine a policy with the rule of its service; unchanged if the policy knows each state of the log.
 
     Parameters
@@ -99,7 +101,7 @@ def with_its_rule(policy: Any, logs: Logs, is_outside: Callable[[Any], Bool[np.n
     """
     stages = logs.stages
     if not isinstance(policy, DiscretePolicy) or not set(policy.covariates) <= set(stages.columns):
-        return Served(policy, logs)
+        return ServedLog(policy, logs)
     is_new, is_by_rule = ~policy.looks_at.knows(stages), _is_by_rule(logs)
     is_far = is_by_rule & ~is_new
     if is_outside is None:
@@ -110,7 +112,7 @@ def with_its_rule(policy: Any, logs: Logs, is_outside: Callable[[Any], Bool[np.n
     is_late = stages["stage"].to_numpy() > policy.horizon
     is_far |= is_late & is_by_rule if is_by_rule[is_late].all() else is_late & False
     if not (is_new | is_far).any():
-        return Served(policy, logs)
+        return ServedLog(policy, logs)
     # Refuse unknown categories from which the policy did not step back.
     unexplained: Any = stages[is_new & ~is_by_rule]
     policy.looks_at.encode(unexplained)
@@ -122,7 +124,7 @@ def with_its_rule(policy: Any, logs: Logs, is_outside: Callable[[Any], Bool[np.n
         beyond = "the state lies outside the policy's logs, or beyond its horizon"
         notes = (*notes, f"in {where} {beyond}: the rule decided in its place")
     known = Logs(replaced, logs.trajectories, logs.objects, reward_unit=logs.reward_unit, missing=logs.missing)
-    return Served(WithItsRule(policy, actions, pd.MultiIndex.from_frame(by_rule[STAGE])), known, notes)
+    return ServedLog(WithItsRule(policy, actions, pd.MultiIndex.from_frame(by_rule[STAGE])), known, notes)
 
 
 def _is_by_rule(logs: Logs) -> Bool[np.ndarray, " m"]:

@@ -54,7 +54,7 @@ class Gain(NamedTuple):
         return found, f"it earns {more} than the logging policy ({within})"
 
 
-class _Rows(NamedTuple):
+class _CompletedRows(NamedTuple):
     """Completed stages."""
 
     trajectory: Int[np.ndarray, " m"]
@@ -66,8 +66,8 @@ class _Rows(NamedTuple):
     stage: Int[np.ndarray, " m"]
     """From 0."""
 
-    def at(self, rows: Bool[np.ndarray, " m"]) -> "_Rows":
-        return _Rows(*(each[rows] for each in self))
+    def at(self, rows: Bool[np.ndarray, " m"]) -> "_CompletedRows":
+        return _CompletedRows(*(each[rows] for each in self))
 
 
 def gain_of(policy: CrossFitted, model: QModel, logs: Logs, kappa: float, level: float = 0.95) -> Gain:
@@ -96,7 +96,7 @@ def gain_of(policy: CrossFitted, model: QModel, logs: Logs, kappa: float, level:
 class _Means:
     """Estimates from some completed stages for each state, and for each action there."""
 
-    def __init__(self, rows: _Rows, shape: tuple[int, int], num: int, kappa: float) -> None:
+    def __init__(self, rows: _CompletedRows, shape: tuple[int, int], num: int, kappa: float) -> None:
         self.num_actions, (num_states, num_actions) = shape[1], shape
         cell, size = rows.state * num_actions + rows.action, num_states * num_actions
         self.reward, self.moves, n = _means(cell, rows, size, num_states)
@@ -114,7 +114,7 @@ class _Means:
         return reward, _scaled(kept, self.moves[at]) + _scaled(1.0 - kept, self.moves_of_state)
 
     def ratio(
-        self, rows: _Rows, visits: Float[np.ndarray, " S"], choice: Int[np.ndarray, " S"] | None
+        self, rows: _CompletedRows, visits: Float[np.ndarray, " S"], choice: Int[np.ndarray, " S"] | None
     ) -> Float[np.ndarray, " m"]:
         """ν̂/m̂ of each row."""
         if choice is None:
@@ -129,14 +129,14 @@ class _World:
     """Model of the world, and of policies in it, from the trajectories outside a fold."""
 
     def __init__(
-        self, rows: _Rows, first: Int[np.ndarray, " n"], shape: tuple[int, int], kappa: float, horizon: int
+        self, rows: _CompletedRows, first: Int[np.ndarray, " n"], shape: tuple[int, int], kappa: float, horizon: int
     ) -> None:
         self.every = _Means(rows, shape, len(first), kappa)
         self.going = _Means(rows.at(rows.stage < horizon - 1), shape, len(first), kappa)
         self.start, self.horizon = np.bincount(first, minlength=shape[0]) / len(first), horizon
 
     def added(
-        self, choices: Int[np.ndarray, "T S"] | None, rows: _Rows, first: Int[np.ndarray, " n"]
+        self, choices: Int[np.ndarray, "T S"] | None, rows: _CompletedRows, first: Int[np.ndarray, " n"]
     ) -> Float[np.ndarray, " n"]:
         """Contribution of each trajectory to the value of a policy, by stage and state; None for the logging policy."""
         chosen = [None if choices is None else choices[t] for t in range(self.horizon)]
@@ -172,7 +172,7 @@ class _World:
 
 
 def _means(
-    group: Int[np.ndarray, " m"], rows: _Rows, size: int, num_states: int
+    group: Int[np.ndarray, " m"], rows: _CompletedRows, size: int, num_states: int
 ) -> tuple[Float[np.ndarray, " g"], Any, Int[np.ndarray, " g"]]:
     """Mean reward, distribution of successors and number of rows by group; 0 for an empty one."""
     n = np.bincount(group, minlength=size)
@@ -186,13 +186,13 @@ def _scaled(by: Float[np.ndarray, " S"], moves: Any) -> Any:
     return scipy.sparse.diags(by) @ moves
 
 
-def _rows_of(trajectories: TrajectoryArrays, num_states: int) -> _Rows:
+def _rows_of(trajectories: TrajectoryArrays, num_states: int) -> _CompletedRows:
     number = trajectories.features[:, :, 0, 0].astype(np.int64) - 1
     successor = np.where(trajectories.is_last, num_states, np.pad(number[:, 1:], ((0, 0), (0, 1)), constant_values=-1))
     done = trajectories.is_completed & (successor >= 0)
     who, stage = np.nonzero(done)
     action, reward = trajectories.action[done], trajectories.reward[done]
-    return _Rows(who, number[done], action, successor[done], reward, stage)
+    return _CompletedRows(who, number[done], action, successor[done], reward, stage)
 
 
 def _choices_of(policy: DiscretePolicy) -> Int[np.ndarray, "T S"]:

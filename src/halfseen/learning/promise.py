@@ -16,7 +16,7 @@ import numpy as np
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import KernelQ, LinearQ
-from halfseen.learning.streaming import Learned, sample_of
+from halfseen.learning.streaming import Fit, sample_of
 from halfseen.logs import Logs, LogStream
 
 MANY_STAGES = 10
@@ -26,7 +26,7 @@ FEWEST_FINISHED = 20
 """Fewest finished trajectories for this check."""
 
 
-def believable(learn: Callable[[QModel], Learned], model: QModel, logs: Logs | LogStream) -> Learned:
+def believable(learn: Callable[[QModel], Fit], model: QModel, logs: Logs | LogStream) -> Fit:
     """Learn; with many stages, learn again with a linear Q if a default smooth one promises too much.
 
     Parameters

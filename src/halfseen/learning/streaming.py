@@ -39,7 +39,7 @@ from halfseen.learning.sample import sampled
 from halfseen.learning.sums import Rows, packed
 from halfseen.learning.task import RewardedStages
 from halfseen.logs import Logs, LogStream
-from halfseen.logs.folder import Folder, Part, Shard
+from halfseen.logs.folder import Folder, LogPart, Shard
 from halfseen.logs.stream import ShardReader, Tables, logs_of
 from halfseen.progress import Progress
 from halfseen.shapes import Float, Int
@@ -50,7 +50,7 @@ MOST_SHARE = 0.5
 """Share of the free disk space for everything that is kept of a log."""
 
 
-class Learned(NamedTuple):
+class Fit(NamedTuple):
     """The result of learning from a log."""
 
     model: QModel
@@ -63,7 +63,7 @@ class Learned(NamedTuple):
     diagnostics: WeightDiagnostics
 
 
-def learned_from(logs: Logs | LogStream, model: QModel, has_choice: bool, workers: Workers | None = None) -> Learned:
+def learned_from(logs: Logs | LogStream, model: QModel, has_choice: bool, workers: Workers | None = None) -> Fit:
     """Learn from a log in memory, or in passes over a stream whose shards are summed by workers.
 
     With `has_choice`, the log decides whether stages are pooled (`judging`).
@@ -74,10 +74,10 @@ def learned_from(logs: Logs | LogStream, model: QModel, has_choice: bool, worker
     model, chosen = _with_choices(model, model.sample_of(trajectories), has_choice, logs.num_trajectories)
     log = model.recent(model.transitions(trajectories))
     diagnostics = weight_diagnostics(log.weight, model.cut_model and model.cut_model.truncate_at)
-    return Learned(model, model.fit(log), chosen, log.weight, diagnostics)
+    return Fit(model, model.fit(log), chosen, log.weight, diagnostics)
 
 
-def _streaming(stream: LogStream, model: QModel, has_choice: bool, workers: Workers) -> Learned:
+def _streaming(stream: LogStream, model: QModel, has_choice: bool, workers: Workers) -> Fit:
     """Gather the inputs of Ĝ and a sample of trajectories in the first pass; then make each backward step a pass."""
     refuse_all_cut(stream.is_finished)
     shards, num_trajectories = stream.shards(), stream.num_trajectories
@@ -112,7 +112,7 @@ def _with_choices(
 
 def _backward_streaming(
     work: "_Work", shards: list[Shard], pool: Pool, num_actions: int, chosen: tuple[str, ...]
-) -> Learned:
+) -> Fit:
     model, num_trajectories = work.model, work.num_trajectories
     regression = model.regression(num_trajectories, num_actions)
     fold = model.folds(num_trajectories).astype(np.min_scalar_type(-regression.num_folds))
@@ -140,7 +140,7 @@ def _backward_streaming(
             refuse_too_few(tally.num_rows_seen, num_trajectories)
         file.flush()
         weights = np.memmap(file, dtype=np.float64, mode="r", shape=(num_trajectories, model.horizon))
-    return Learned(model, q, chosen, weights, tally.diagnostics())
+    return Fit(model, q, chosen, weights, tally.diagnostics())
 
 
 def sample_of(stream: LogStream, seed: int, most: int | None = None) -> Logs:
@@ -275,7 +275,7 @@ class _Work:
 
     def rows_of(
         self, shard: Shard, fold: Int[np.ndarray, " n"], is_first: bool
-    ) -> Iterator[tuple[Part, Rows, Float[np.ndarray, "n T"] | None]]:
+    ) -> Iterator[tuple[LogPart, Rows, Float[np.ndarray, "n T"] | None]]:
         """Pack the parts of a shard; in the first pass with the weight of every stage."""
         reader, begin = cache(partial(ShardReader, self.folder)), shard.trajectories.start
         for part in shard.parts:
@@ -292,7 +292,7 @@ class _Work:
                 self.kept.keep("rows", part.number, rows)
             yield part, rows, weight
 
-    def _laid_out(self, reader: Callable[[], ShardReader], part: Part) -> TrajectoryArrays:
+    def _laid_out(self, reader: Callable[[], ShardReader], part: LogPart) -> TrajectoryArrays:
         """A part of the log, whose reader is opened on first use."""
         logs = reader().read(part)
         self.model.check_horizon(logs)

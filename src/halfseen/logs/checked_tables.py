@@ -269,7 +269,7 @@ class _RowOf(dict):
 def _enforce(
     table: pd.DataFrame,
     values: SimpleNamespace,
-    rules: Iterable[checks.Rule],
+    rules: Iterable[checks.Check],
     names: tuple[str, ...] = ("trajectory", "stage"),
 ) -> None:
     for rule in rules:

@@ -42,7 +42,7 @@ COLUMN_TYPES = {
 Mask = Bool[np.ndarray, " rows"]
 
 
-class Rule(NamedTuple):
+class Check(NamedTuple):
     """An invariant, with the message for rows that violate it."""
 
     is_wrong: Callable[[Any], Mask]
@@ -55,92 +55,92 @@ class Rule(NamedTuple):
 
 # fmt: off
 TRAJECTORY_RULES = (
-    Rule(lambda t: t.trajectory.duplicated().to_numpy(),
+    Check(lambda t: t.trajectory.duplicated().to_numpy(),
          "it is in trajectories twice", "give each trajectory one row and a unique name"),
-    Rule(lambda t: ~((t.end_s > 0) & np.isfinite(t.end_s)),
+    Check(lambda t: ~((t.end_s > 0) & np.isfinite(t.end_s)),
          "end_s {end_s} is not a valid end", "give the finite time from its beginning to its end, > 0 s"),
-    Rule(lambda t: t.end_s >= EARLIEST_DATE_S,
+    Check(lambda t: t.end_s >= EARLIEST_DATE_S,
          "end_s {end_s} is a date, or not in seconds", "give the seconds since the trajectory's beginning"),
-    Rule(lambda t: ~t.is_cut & ~t.is_finished,
+    Check(lambda t: ~t.is_cut & ~t.is_finished,
          "ending {ending} is unknown", f"say {FINISHED!r} where the trajectory reached its own end, and {CUT!r} where "
          "something outside the task ended it"),
-    Rule(lambda t: ~t.is_cut & t.cause.notna().to_numpy(),
+    Check(lambda t: ~t.is_cut & t.cause.notna().to_numpy(),
          "it finished, yet has the cause {cause}", f"only a cut trajectory has one: leave it null, or make the "
          f"ending {CUT!r}"),
 )
 ORDER_RULES = (
-    Rule(lambda s: ~s.is_first & (s.stage == s.stage_before),
+    Check(lambda s: ~s.is_first & (s.stage == s.stage_before),
          "the stage is listed twice", "drop one of the two rows, or renumber them"),
-    Rule(lambda s: s.stage != s.expected,
+    Check(lambda s: s.stage != s.expected,
          "stage {expected} is missing before it", "number the stages of a trajectory 1, 2, 3, … without gaps"),
-    Rule(lambda s: ~s.is_completed & ~s.is_cut_stage,
+    Check(lambda s: ~s.is_completed & ~s.is_cut_stage,
          "elapsed_s is null, yet only the last stage of a cut trajectory is not completed",
          "give the clock at its end, or cut the trajectory there"),
-    Rule(lambda s: s.is_completed & s.is_cut_stage,
+    Check(lambda s: s.is_completed & s.is_cut_stage,
          "elapsed_s {elapsed_s} completes the last stage of a cut trajectory",
          "add the stage in which it was cut, with covariates and elapsed_s null, or make the ending 'finished'"),
     # If two robots of a team are free at once, the stage between their decisions takes no time.
-    Rule(lambda s: s.is_completed & ~((s.elapsed_s < np.inf) & ((s.elapsed_s > 0) | s.may_stand & (s.elapsed_s == 0))),
+    Check(lambda s: s.is_completed & ~((s.elapsed_s < np.inf) & ((s.elapsed_s > 0) | s.may_stand & (s.elapsed_s == 0))),
          "elapsed_s {elapsed_s} is not a time after the trajectory's beginning", "fix the clock"),
-    Rule(lambda s: (not s.may_stand) & s.is_completed & ~s.is_first & (s.elapsed_s == s.before_s),
+    Check(lambda s: (not s.may_stand) & s.is_completed & ~s.is_first & (s.elapsed_s == s.before_s),
          "elapsed_s {elapsed_s} is also the {before_s} of stage {stage_before}", "sort the stages or fix the clock"),
-    Rule(lambda s: s.is_completed & ~s.is_first & (s.elapsed_s < s.before_s),
+    Check(lambda s: s.is_completed & ~s.is_first & (s.elapsed_s < s.before_s),
          "elapsed_s {elapsed_s} is before the {before_s} of stage {stage_before}", "sort the stages or fix the clock"),
-    Rule(lambda s: s.is_completed & (s.elapsed_s > s.end_s * (1.0 + ROUNDING)),
+    Check(lambda s: s.is_completed & (s.elapsed_s > s.end_s * (1.0 + ROUNDING)),
          "elapsed_s {elapsed_s} is after the trajectory's end_s {end_s}",
          "fix end_s, or make this the stage in which the trajectory was cut"),
-    Rule(lambda s: s.is_last & (s.times > 1.0),
+    Check(lambda s: s.is_last & (s.times > 1.0),
          "end_s {end_s} is {times:.0e} times the elapsed_s {elapsed_s} of the last stage, as if units were mixed",
          "give both in seconds"),
 )
-ROBOT_RULE = Rule(
+ROBOT_RULE = Check(
     lambda s: s.is_at_same,
     "robot {robot} starts on object {object}, on which robot {other} has worked since stage {since}",
     f"fix robot or object, or leave {ROBOT!r} out if one robot made all stages",
 )
 COMPLETION_RULES = (
-    Rule(lambda s: s.is_completed & s.action.isna().to_numpy(),
+    Check(lambda s: s.is_completed & s.action.isna().to_numpy(),
          "the stage is completed, yet its action is null", "give the action that was taken"),
-    Rule(lambda s: s.is_completed & ~np.isfinite(s.reward),
+    Check(lambda s: s.is_completed & ~np.isfinite(s.reward),
          "the stage is completed, yet its reward is {reward}", "give the finite reward that it earned"),
-    Rule(lambda s: ~s.is_completed & ~np.isnan(s.reward),
+    Check(lambda s: ~s.is_completed & ~np.isnan(s.reward),
          "reward {reward} is given, yet the stage was not completed", "leave it null, or give elapsed_s"),
-    Rule(lambda s: np.abs(s.reward) > LARGEST,
+    Check(lambda s: np.abs(s.reward) > LARGEST,
          "reward {reward}: its fourth power is too large for a float", "give rewards in another unit"),
-    Rule(lambda s: ~((s.probability > 0) & (s.probability <= 1)) & (s.is_completed | ~np.isnan(s.probability)),
+    Check(lambda s: ~((s.probability > 0) & (s.probability <= 1)) & (s.is_completed | ~np.isnan(s.probability)),
          "probability {probability} of the logged action is outside (0, 1]",
          "fix it, or leave the column out if it was not logged"),
 )
 OBJECT_RULES = (
-    Rule(lambda o: o.trajectory_row < 0,
+    Check(lambda o: o.trajectory_row < 0,
          "trajectories does not list this trajectory", "add its row to trajectories, or drop its objects"),
-    Rule(lambda o: (o.stage < 1) | (o.stage > o.last),
+    Check(lambda o: (o.stage < 1) | (o.stage > o.last),
          "the trajectory has stages 1 to {last}", "add the stage to stages, or drop its objects"),
 )
 
 
-def own_reward_rule(column: str) -> Rule:
+def own_reward_rule(column: str) -> Check:
     """Rule for a robot's own reward in a stage."""
-    return Rule(lambda s: ~np.where(s.is_completed, np.isfinite(vars(s)[column]), np.isnan(vars(s)[column])),
+    return Check(lambda s: ~np.where(s.is_completed, np.isfinite(vars(s)[column]), np.isnan(vars(s)[column])),
                 f"{column} is {{{column}}}",
                 "give a finite number for each completed stage, and null for one that was not, or leave it out")
 
 
-def out_cause_rule(cause: str) -> Rule:
+def out_cause_rule(cause: str) -> Check:
     """Rule for the cause of a robot's drop-out."""
     clock, robot = cause.replace("_cause", "_s"), cause.split("_")[0]
-    return Rule(lambda t: vars(t)[cause].notna().to_numpy() & np.isnan(vars(t).get(clock, np.nan)),
+    return Check(lambda t: vars(t)[cause].notna().to_numpy() & np.isnan(vars(t).get(clock, np.nan)),
                 f"{cause} is given, yet {clock} is not", f"give the clock at which robot {robot} dropped out")
 
 
-def drop_out_rules(robot: int) -> tuple[Rule, Rule]:
+def drop_out_rules(robot: int) -> tuple[Check, Check]:
     """Rules for a robot that may drop out: one for its clock in trajectories, one for its decisions in stages."""
     clock = f"{robot}_out_s"
     return (
-        Rule(lambda t: ~np.isnan(vars(t)[clock]) & ~((vars(t)[clock] > 0) & (vars(t)[clock] <= t.end_s)),
+        Check(lambda t: ~np.isnan(vars(t)[clock]) & ~((vars(t)[clock] > 0) & (vars(t)[clock] <= t.end_s)),
              f"{clock} {{{clock}}} lies outside the trajectory, which ends at {{end_s}} s",
              "fix it, or leave it null if the robot did not drop out before the end"),
-        Rule(lambda s: s.robot.eq(robot).to_numpy(dtype=bool) & (s.begin_s > vars(s)[clock]),
+        Check(lambda s: s.robot.eq(robot).to_numpy(dtype=bool) & (s.begin_s > vars(s)[clock]),
              f"robot {robot} decides at {{begin_s}} s, yet dropped out at {{{clock}}} s",
              f"fix {clock} or the stage's robot"),
     )

@@ -236,7 +236,7 @@ def whole_table(file: Place) -> AbstractContextManager[None]:
     return refused(file, "it is not a complete Parquet file", "copy it again, or write the logs again", missing)
 
 
-class Part(NamedTuple):
+class LogPart(NamedTuple):
     """Trajectories that are held in memory at once."""
 
     number: int
@@ -250,7 +250,7 @@ class Shard(NamedTuple):
     """Parts that are read one after the other."""
 
     number: int
-    parts: tuple[Part, ...]
+    parts: tuple[LogPart, ...]
 
     @property
     def trajectories(self) -> slice:
@@ -290,7 +290,7 @@ def shards_of(folder: Folder, trajectories_at_once: int) -> list[Shard]:
     parts = []
     for number, first in enumerate(range(0, num_trajectories, trajectories_at_once)):
         rows = {name: (int(end[number]), int(end[number + 1])) for name, end in ends.items()}
-        parts.append(Part(number, (first, min(first + trajectories_at_once, num_trajectories)), rows))
+        parts.append(LogPart(number, (first, min(first + trajectories_at_once, num_trajectories)), rows))
     size = min(max(len(parts) // NUM_SHARDS, 1), MOST_PARTS)
     groups = [parts[first : first + size] for first in range(0, len(parts), size)]
     return [Shard(number, tuple(group)) for number, group in enumerate(groups)]

@@ -35,7 +35,7 @@ from halfseen.logs.journal_writer import JournalWriter, synced_events
 from halfseen.logs.logs import Logs
 from halfseen.logs.parquet import MANIFEST
 from halfseen.logs.recorded import CRASH, RESUMED
-from halfseen.logs.recording_state import Recorded, TrajectoryState
+from halfseen.logs.recording_state import RecordingState, TrajectoryState
 from halfseen.logs.trajectory_recorder import TrajectoryRecorder
 
 
@@ -107,7 +107,7 @@ class LogRecorder:
         self._check, self._keeps_events = check, keeps_events
         self._names: set[int | str] = set()
         self._torn: list[dict[str, Any]] = []
-        self._restored = Recorded()
+        self._restored = RecordingState()
         self._trajectory: TrajectoryRecorder | None = None
         self._journal = JournalWriter(folder, synced_events(fsync), self._restore, unit, part_bytes)
         self._journal.known = self._restored

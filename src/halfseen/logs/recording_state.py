@@ -206,7 +206,7 @@ class TrajectoryState:
 
 
 @dataclass(frozen=True)
-class Recorded:
+class RecordingState:
     """State of the recording in a folder."""
 
     schema: Schema = field(default_factory=Schema)

@@ -16,7 +16,7 @@ from halfseen.logs.columns import FINISHED, NEEDED, as_counts, is_stage_covariat
 from halfseen.logs.folder import (
     UNSORTED,
     Folder,
-    Part,
+    LogPart,
     Place,
     Shard,
     TableInGroups,
@@ -44,7 +44,7 @@ class ShardReader:
         self._folder = folder
         self._tables = {name: TableInGroups(folder, name) for name in folder.num_rows}
 
-    def read(self, part: Part) -> Logs:
+    def read(self, part: LogPart) -> Logs:
         """Read a part.
 
         Raises
@@ -54,7 +54,7 @@ class ShardReader:
         """
         return logs_of(self._folder, [self.tables(part)])
 
-    def tables(self, part: Part, kept: np.ndarray | None = None) -> Tables:
+    def tables(self, part: LogPart, kept: np.ndarray | None = None) -> Tables:
         """Read a part, or some of its trajectories, without checks.
 
         Parameters

@@ -12,7 +12,7 @@ from halfseen.logs.columns import CUT, FINISHED, STEPPED_BACK, shown
 from halfseen.logs.journal_writer import JournalWriter
 from halfseen.logs.logs import Logs
 from halfseen.logs.recorded import CRASH, STILL_RUNNING, followed, tables_of
-from halfseen.logs.recording_state import Recorded, Schema, TrajectoryState, checked_number, checked_text
+from halfseen.logs.recording_state import RecordingState, Schema, TrajectoryState, checked_number, checked_text
 
 CAUSES = ("operator", "emergency-stop", "time-out", "battery", "sensor-lost", CRASH)
 """Usual causes of cuts; any other text is accepted."""
@@ -296,7 +296,7 @@ class TrajectoryRecorder:
         self._write({**event, "at_s": at_s}, recorded, ended)
 
     def _write(
-        self, event: dict[str, Any], recorded: Recorded, state: TrajectoryState, *, is_news: bool = False
+        self, event: dict[str, Any], recorded: RecordingState, state: TrajectoryState, *, is_news: bool = False
     ) -> None:
         """Write an event; if the trajectory is checked as it grows, the check may first refuse an event with news."""
         if self._keeps_events or recorded.schema.has_robot:

@@ -71,7 +71,7 @@ class Courses(NamedTuple):
         return np.bincount(self.trajectory, np.nan_to_num(self.reward), self.num)
 
 
-class Counted(NamedTuple):
+class CountedTrajectories(NamedTuple):
     """Contribution of each trajectory; none before there were enough to learn from."""
 
     chance: Float[np.ndarray, " n"]
@@ -106,7 +106,7 @@ class _Wealth(NamedTuple):
     """Largest logarithm of the total wealth so far."""
 
 
-class Kept:
+class ComparisonCache:
     """Cache of a running comparison; no result depends on it."""
 
     def __init__(self) -> None:
@@ -118,7 +118,7 @@ class Kept:
         """Start a new round of bounds; drop wealth that was not used since the last call."""
         self._before, self._wealth = self._wealth, {}
 
-    def best(self, of: Counted, gain: float, side: int) -> float:
+    def best(self, of: CountedTrajectories, gain: float, side: int) -> float:
         """Largest logarithm of the wealth so far, as in `log_wealth`; `of` may only grow between calls."""
         asked = gain, side
         known = self._wealth.get(asked) or self._before.get(asked) or _begun(of, gain)
@@ -128,10 +128,12 @@ class Kept:
         return known.best
 
 
-NOTHING = Counted(*np.zeros((4, 0)))
+NOTHING = CountedTrajectories(*np.zeros((4, 0)))
 
 
-def counted(courses: Courses, known: Counted = NOTHING, kept: Kept | None = None) -> Counted:
+def counted(
+    courses: Courses, known: CountedTrajectories = NOTHING, kept: ComparisonCache | None = None
+) -> CountedTrajectories:
     """Compute the contribution of each trajectory from earlier ones only; later trajectories do not change it.
 
     Parameters
@@ -143,7 +145,7 @@ def counted(courses: Courses, known: Counted = NOTHING, kept: Kept | None = None
     kept
         Cache of the fits.
     """
-    kept = Kept() if kept is None else kept
+    kept = ComparisonCache() if kept is None else kept
     arm = np.cumsum(courses.is_policy)
     enough = np.flatnonzero(np.minimum(arm, np.arange(1, courses.num + 1) - arm) >= FEWEST_OF_EITHER)
     begin = int(enough[0]) + 1 if len(enough) else courses.num
@@ -155,7 +157,7 @@ def counted(courses: Courses, known: Counted = NOTHING, kept: Kept | None = None
                 kept.learned = {begin: _learned(courses.part(0, begin))}
             parts.append(_added(kept.learned[begin], courses.part(max(begin, done), end)))
         begin = end
-    return Counted(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    return CountedTrajectories(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
 def _columns(courses: Courses) -> Float[np.ndarray, "m G1"]:
@@ -217,7 +219,7 @@ def _value(
     return np.linalg.solve(weighted.T @ (features - after) + ridge, weighted.T @ np.nan_to_num(reward))
 
 
-def _added(learned: _Learned, new: Courses) -> Counted:
+def _added(learned: _Learned, new: Courses) -> CountedTrajectories:
     first = np.searchsorted(new.trajectory, np.arange(new.num))
     columns = (_columns(new) - learned.centre) / learned.spread
     features = np.column_stack([np.ones(len(columns)), columns])
@@ -229,10 +231,10 @@ def _added(learned: _Learned, new: Courses) -> Counted:
     news = _weights(new, learned.survivals) * (np.nan_to_num(new.reward) + after - own)
     worth = own[first] + np.bincount(new.trajectory, news, new.num)
     p, a = new.chance, new.is_policy.astype(np.float64)
-    return Counted(p, a - p, worth - (1.0 - p) * values[1][first] - p * values[0][first], a - 1.0 + p)
+    return CountedTrajectories(p, a - p, worth - (1.0 - p) * values[1][first] - p * values[0][first], a - 1.0 + p)
 
 
-def log_wealth(of: Counted, gain: float, side: int = 1) -> Float[np.ndarray, " n"]:
+def log_wealth(of: CountedTrajectories, gain: float, side: int = 1) -> Float[np.ndarray, " n"]:
     """Logarithm of the wealth after each trajectory of a gambler who bets that the policy gains more than `gain`.
 
     Parameters
@@ -247,13 +249,15 @@ def log_wealth(of: Counted, gain: float, side: int = 1) -> Float[np.ndarray, " n
     return np.append(np.zeros(min(len(of.excess), 1)), _gone_on(of, gain, side, _begun(of, gain))[0])
 
 
-def _begun(of: Counted, gain: float) -> _Wealth:
+def _begun(of: CountedTrajectories, gain: float) -> _Wealth:
     """Initial wealth; the first trajectory is not bet on and only sets the scale."""
     first = np.abs(of.excess[:1] - gain * of.share[:1])
     return _Wealth(len(first), float(first.sum()), np.zeros(len(BETS)), 0.0)
 
 
-def _gone_on(of: Counted, gain: float, side: int, known: _Wealth) -> tuple[Float[np.ndarray, " k"], _Wealth]:
+def _gone_on(
+    of: CountedTrajectories, gain: float, side: int, known: _Wealth
+) -> tuple[Float[np.ndarray, " k"], _Wealth]:
     """Logarithm of the wealth after each of the k trajectories that were not bet on yet."""
     beside = of.excess[known.num :] - gain * of.share[known.num :]
     # Clip to the largest absolute value so far, in either arm.
@@ -268,20 +272,20 @@ def _gone_on(of: Counted, gain: float, side: int, known: _Wealth) -> tuple[Float
     return after, _Wealth(len(of.excess), float(largest[-1]), wealth[:, -1], best)
 
 
-def beats_at(of: Counted, gain: float, alpha: float, side: int = 1) -> int | None:
+def beats_at(of: CountedTrajectories, gain: float, alpha: float, side: int = 1) -> int | None:
     """Number of counted trajectories after which the policy is shown to gain more (or less); None if never."""
     above = np.flatnonzero(log_wealth(of, gain, side) >= -np.log(alpha))
     return int(above[0]) + 1 if len(above) else None
 
 
-def bound(of: Counted, alpha: float, side: int = 1, kept: Kept | None = None) -> float:
+def bound(of: CountedTrajectories, alpha: float, side: int = 1, kept: ComparisonCache | None = None) -> float:
     """Lower bound of the gain, or upper bound with side −1 [reward]; ever wrong with probability at most `alpha`.
 
     ∓∞ while there is no evidence.
     """
     if not len(of.excess):
         return -side * np.inf
-    kept, need = Kept() if kept is None else kept, -np.log(alpha)
+    kept, need = ComparisonCache() if kept is None else kept, -np.log(alpha)
     far = FARTHEST * float(np.abs(of.excess).max()) + 1e-12
     out, within = -side * far, side * far
     if kept.best(of, out, side) < need:

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from halfseen.monitoring.comparison import Counted, Courses, Kept, bound, counted
+from halfseen.monitoring.comparison import ComparisonCache, CountedTrajectories, Courses, bound, counted
 
 POLICY = "policy"
 PROMOTES, HARMS = 0.025, 0.05
@@ -91,7 +91,9 @@ def _signed(number: float) -> str:
     return f"{number:+.2g}".replace("-", "−")
 
 
-def standing(courses: Courses, terms: Terms, of: Counted | None = None, kept: Kept | None = None) -> Standing:
+def standing(
+    courses: Courses, terms: Terms, of: CountedTrajectories | None = None, kept: ComparisonCache | None = None
+) -> Standing:
     """Compute the state of a comparison.
 
     Parameters
@@ -106,7 +108,7 @@ def standing(courses: Courses, terms: Terms, of: Counted | None = None, kept: Ke
         Cache from earlier trajectories.
     """
     of, num_policy = counted(courses) if of is None else of, int(courses.is_policy.sum())
-    kept = Kept() if kept is None else kept
+    kept = ComparisonCache() if kept is None else kept
     kept.begin()
     low, high, likely = (bound(of, alpha, side, kept) for alpha, side in ((PROMOTES, 1), (PROMOTES, -1), (HARMS, 1)))
     worst = num_policy * min(max(0.0, -likely), float(np.ptp(courses.totals()))) if num_policy else 0.0
@@ -145,7 +147,7 @@ def _share(courses: Courses, terms: Terms, likely: float) -> float:
     return min(LARGEST_SHARE, terms.share * 2.0 ** max(0, int(halved)))
 
 
-def _more(of: Counted) -> int | None:
+def _more(of: CountedTrajectories) -> int | None:
     """Number of trajectories until the wealth of an ideal bet suffices, at the share of the latest trajectories."""
     if not len(of.excess):
         return None

@@ -60,7 +60,7 @@ class Change:
         return f"the cell has changed within the log: {self.words}, {since}"
 
 
-class Watched(NamedTuple):
+class WatchedValue(NamedTuple):
     """A value of each trajectory, NaN if it has none, and the description of a change of the mean."""
 
     scores: Float[np.ndarray, " n"]
@@ -95,7 +95,7 @@ def changes_in(logs: Logs, policy: Any, seed: int = 0) -> list[Change]:
     return [_change(logs.trajectory_ids.tolist(), watched[k], float(p[k])) for k in clearest if p[k] <= ALPHA]
 
 
-def _change(names: list[Any], watched: Watched, p_value: float) -> Change:
+def _change(names: list[Any], watched: WatchedValue, p_value: float) -> Change:
     found, there = change_point(watched.scores), np.flatnonzero(~np.isnan(watched.scores))
     # The most likely change point may be nearer to an end than any tested one.
     at = int(there[np.clip(np.searchsorted(there, found.at), FEWEST, len(there) - FEWEST)])
@@ -120,15 +120,15 @@ def farthest_apart(scores: Float[np.ndarray, "n S"], least: Float[np.ndarray, " 
     return np.where(may_be, np.abs(total) / np.where(may_be, error, 1.0), 0.0).max(axis=0)
 
 
-def _first_states(logs: Logs, looks_at: Covariates) -> Iterator[Watched]:
+def _first_states(logs: Logs, looks_at: Covariates) -> Iterator[WatchedValue]:
     """Ranks of the covariates of the first stage; ranks limit the influence of outliers."""
     first: Any = logs.stages[logs.stages["stage"] == 1]
     states = pd.DataFrame(looks_at.encode(first)).rank().to_numpy()
     for name, ranks in zip(looks_at.names, states.T, strict=True):
-        yield Watched(ranks, partial(_says_larger, f"{name} in stage 1", ranks, np.arange(len(ranks))))
+        yield WatchedValue(ranks, partial(_says_larger, f"{name} in stage 1", ranks, np.arange(len(ranks))))
 
 
-def _parts(logs: Logs, looks_at: Covariates) -> Iterator[Watched]:
+def _parts(logs: Logs, looks_at: Covariates) -> Iterator[WatchedValue]:
     """Residuals of each action's reward, duration and next state, given the state, summed by trajectory."""
     states, actions, place = looks_at.encode(logs.stages), logs.stages["action"], stage_places(logs)[0]
     for action in sorted(actions.dropna().unique().tolist()):
@@ -139,7 +139,7 @@ def _parts(logs: Logs, looks_at: Covariates) -> Iterator[Watched]:
                 left = residuals(part_of(str(action), what, states[rows], values[rows]), states[rows], values[rows])
                 says = partial(_says_otherwise, str(action), what, left, place[rows])
                 least = LEAST_DEVIATION * float(np.nanstd(values))
-                yield Watched(_summed(left, place[rows], logs.num_trajectories), says, least)
+                yield WatchedValue(_summed(left, place[rows], logs.num_trajectories), says, least)
 
 
 def _outcomes(
@@ -157,13 +157,13 @@ def _summed(left: Float[np.ndarray, " m"], place: Int[np.ndarray, " m"], num: in
     return np.where(np.bincount(place, minlength=num) > 0, np.bincount(place, left, num), np.nan)
 
 
-def _cuts(logs: Logs) -> Watched:
+def _cuts(logs: Logs) -> WatchedValue:
     """Whether each was cut, minus the cumulative hazard of cuts until its end; the mean is 0 for any duration."""
     curve = KaplanMeier().fit(logs.end_s, logs.is_finished)
     before, left = (curve.survival(ends) for ends in (logs.end_s, np.nextafter(logs.end_s, np.inf)))
     scores = ~logs.is_finished + np.log(np.where(left > 0, left, before))
     more = partial(_more, scores, np.arange(len(scores)))
-    return Watched(scores, lambda at: f"cuts are {'more' if more(at) > 0 else 'less'} frequent than before")
+    return WatchedValue(scores, lambda at: f"cuts are {'more' if more(at) > 0 else 'less'} frequent than before")
 
 
 def _says_larger(name: str, values: Float[np.ndarray, " m"], place: Int[np.ndarray, " m"], at: int) -> str:

@@ -23,7 +23,7 @@ _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(NUM_NODES)
 _LOG_PRIOR = np.log(_WEIGHTS / _WEIGHTS.sum()).astype(np.float32)
 
 
-class Grip(NamedTuple):
+class GripPosterior(NamedTuple):
     """Posterior of grip offsets, each its mean plus a hidden u."""
 
     mean: Float[Array, "*S"]
@@ -92,10 +92,10 @@ def offset_prior() -> tuple[Float[np.ndarray, " G"], Float[np.ndarray, " G"]]:
     return _NODES.copy(), _WEIGHTS / _WEIGHTS.sum()
 
 
-def prior_grip(mean: Float[Array, "*S"]) -> Grip:
+def prior_grip(mean: Float[Array, "*S"]) -> GripPosterior:
     """Grip before any attempt: u ~ N(0, std²)."""
     xp = library_of(mean)
-    return Grip(mean, xp.broadcast_to(xp.asarray(_LOG_PRIOR), (*mean.shape, NUM_NODES)))
+    return GripPosterior(mean, xp.broadcast_to(xp.asarray(_LOG_PRIOR), (*mean.shape, NUM_NODES)))
 
 
 def grip_offsets(config: WorldConfig, mean: Float[Array, "*S"]) -> Float[Array, "*S G"]:
@@ -116,7 +116,7 @@ def failure_log_probability(
     return known_grasping(config).log_failure(occluded[..., None], grip_offsets(config, mean))
 
 
-def grip_posterior(config: WorldConfig, state: TableState) -> Grip:
+def grip_posterior(config: WorldConfig, state: TableState) -> GripPosterior:
     """Posterior grip of each object given its attempts, each under the law of the robot that made it."""
     xp, prior = library_of(state.attempt_object), prior_grip(state.grip)
     if xp is np and (state.attempt_object < 0).all():
@@ -131,14 +131,14 @@ def grip_posterior(config: WorldConfig, state: TableState) -> Grip:
     return prior._replace(log_weights=prior.log_weights + is_mine.astype(evidence.dtype) @ evidence)
 
 
-def grasp_probability(config: WorldConfig, occluded: Float[Array, "*S"], grip: Grip) -> Float[Array, "*S"]:
+def grasp_probability(config: WorldConfig, occluded: Float[Array, "*S"], grip: GripPosterior) -> Float[Array, "*S"]:
     """P(an attempt succeeds), with the grip offset integrated out."""
     failed = failure_log_probability(config, occluded, grip.mean)
     xp = library_of(failed)
     return 1.0 - xp.sum(softmax(grip.log_weights) * xp.exp(failed), axis=-1)
 
 
-def expected_attempt_s(config: WorldConfig, occluded: Float[Array, "*S"], grip: Grip) -> Float[Array, "*S"]:
+def expected_attempt_s(config: WorldConfig, occluded: Float[Array, "*S"], grip: GripPosterior) -> Float[Array, "*S"]:
     """Expected duration of an attempt with its transport [s], with the grip offset integrated out."""
     attempt_s = known_grasping(config).expected_s(occluded[..., None], grip_offsets(config, grip.mean))
     xp = library_of(attempt_s)

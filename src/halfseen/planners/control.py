@@ -99,7 +99,7 @@ def _controlled(
     return Controlled(value, total, robot_s)
 
 
-def _looked(config: WorldConfig, state: TableState) -> tuple[one_step.Table, one_step.Outlook]:
+def _looked(config: WorldConfig, state: TableState) -> tuple[one_step.Beliefs, one_step.Outlook]:
     """Beliefs of tables, and the possible outcomes of one attempt."""
     table = one_step.table_of(config, state)
     return table, one_step.outlook_of(config, table)

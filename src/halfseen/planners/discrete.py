@@ -34,7 +34,7 @@ Vectors = Float[np.ndarray, "v S"]
 
 
 @dataclass(frozen=True)
-class Stage:
+class AlphaVectors:
     """Γ_h: the alpha vectors with h steps to go."""
 
     vectors: Vectors
@@ -57,7 +57,7 @@ class DiscreteSolution:
 
     value: float
     action: int
-    stages: tuple[Stage, ...]
+    stages: tuple[AlphaVectors, ...]
 
     def value_of(self, belief: ArrayLike, steps_to_go: int | None = None) -> float:
         """Value of a belief, by default with the whole horizon to go."""
@@ -75,7 +75,7 @@ class DiscreteSolution:
             raise ArgumentError(f"belief is {belief}; give each of {vectors.shape[1]} states a probability, 1 in all")
         return vectors @ known
 
-    def _stage(self, steps_to_go: int | None) -> Stage:
+    def _stage(self, steps_to_go: int | None) -> AlphaVectors:
         steps = len(self.stages) if steps_to_go is None else steps_to_go
         if not 1 <= steps <= len(self.stages):
             raise ArgumentError(f"steps_to_go is {steps}; give 1 to the horizon, {len(self.stages)}")
@@ -143,7 +143,7 @@ def solve_discrete(
     for _ in range(horizon):
         found = _backed_up(vectors, transition, observation, reward / unit, discount)
         vectors = found.vectors
-        stages.append(Stage(unit * vectors, found.actions))
+        stages.append(AlphaVectors(unit * vectors, found.actions))
     solution = DiscreteSolution(0.0, 0, tuple(stages))
     return replace(solution, value=solution.value_of(belief), action=solution.action_of(belief))
 
@@ -160,7 +160,7 @@ def _backed_up(
     observation: Float[np.ndarray, "A S Z"],
     reward: Float[np.ndarray, "A S"],
     discount: float,
-) -> Stage:
+) -> AlphaVectors:
     """One step of value iteration."""
     found = []
     for moves, sees, total in zip(transition, observation, reward[:, None], strict=True):
@@ -170,7 +170,7 @@ def _backed_up(
         found.append(total)
     every, actions = np.concatenate(found), np.repeat(np.arange(len(found)), [len(total) for total in found])
     kept = _best_somewhere(every)
-    return Stage(every[kept], actions[kept])
+    return AlphaVectors(every[kept], actions[kept])
 
 
 def pruned(vectors: Vectors) -> Float[np.ndarray, "k S"]:

@@ -23,10 +23,10 @@ from numpy.typing import ArrayLike
 
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import NUM_NODES
-from halfseen.planners.exact_graph import Graph, Node
+from halfseen.planners.exact_graph import Node, StateGraph
 from halfseen.planners.exact_policies import Flow, Reached, actions_in, drawn, labelled, reached_in, states_of
 from halfseen.planners.exact_table import NOTHING, GridWorld, Tally
-from halfseen.planners.exact_team import IDLE, Team, Work
+from halfseen.planners.exact_team import IDLE, TeamActions, Work
 from halfseen.shapes import Float
 from halfseen.world import random
 from halfseen.world.actions import ActionSpace
@@ -41,7 +41,7 @@ MAX_STATES = 150_000_000
 _SAME_LABELS = 1e-3
 
 
-def place_of(graph: Graph, state: TableState) -> tuple[Node, tuple[int, ...]]:
+def place_of(graph: StateGraph, state: TableState) -> tuple[Node, tuple[int, ...]]:
     """Node and cell of one state of a single robot.
 
     Raises
@@ -108,7 +108,7 @@ class TeamOptimum:
     """
 
     value: float
-    _graph: Graph = field(repr=False)
+    _graph: StateGraph = field(repr=False)
 
     @property
     def horizon(self) -> int:
@@ -309,14 +309,14 @@ def solve_team(
 
 def _solved(
     scene: Scene | ArrayLike, config: WorldConfig, workspace: Workspace | None, num_grip_nodes: int, max_states: int
-) -> tuple[float, Graph]:
+) -> tuple[float, StateGraph]:
     table = scene if isinstance(scene, Scene) else Scene(np.asarray(scene, dtype=np.float64))
     numbers = {"horizon": config.horizon, "num_grip_nodes": num_grip_nodes, "objects": table.num_objects}
     for name, number in numbers.items():
         if number < 1:
             raise ArgumentError(f"{name} is {number}; give at least 1")
     with _without_garbage_collection():
-        graph = Graph(Team(GridWorld(table, config, num_grip_nodes), workspace), max_states)
+        graph = StateGraph(TeamActions(GridWorld(table, config, num_grip_nodes), workspace), max_states)
         return float(graph.worth(graph.root).item()), graph
 
 

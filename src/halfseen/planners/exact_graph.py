@@ -13,9 +13,9 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from halfseen.errors import ArgumentError
-from halfseen.planners.exact_labels import Grid, Look, Looks, expected_over_labels
+from halfseen.planners.exact_labels import Grid, LabelTransitions, Looks, expected_over_labels
 from halfseen.planners.exact_table import NOTHING, GridWorld, Held, Tally
-from halfseen.planners.exact_team import IDLE, Team, Work
+from halfseen.planners.exact_team import IDLE, TeamActions, Work
 
 GO_ON = -1
 """The only choice of a node in which no robot decides."""
@@ -25,7 +25,7 @@ GO_ON = -1
 class Arrival:
     """The next look, and the node that it leads to."""
 
-    looks: tuple[Look | None, ...]
+    looks: tuple[LabelTransitions | None, ...]
     """Transition of the look along each axis of the grid."""
     node: "Node | None"
     """None if the trajectory is over."""
@@ -33,7 +33,7 @@ class Arrival:
     """At the end, the record of looks at each object left."""
 
 
-class Choice(NamedTuple):
+class ActionOutcomes(NamedTuple):
     """Expected reward and transitions of an action."""
 
     reward: Grid | float
@@ -51,7 +51,7 @@ class Node:
     shape: tuple[int, ...]
     place: int | None
     """Index in its layer; None if no robot decides."""
-    choices: dict[int, Choice] = field(default_factory=dict)
+    choices: dict[int, ActionOutcomes] = field(default_factory=dict)
     """By action; only `GO_ON` if no robot decides."""
     value: Grid | None = None
     """Optimal value from here on, cached once computed."""
@@ -61,7 +61,7 @@ Key: TypeAlias = tuple[Tally, Work]
 
 
 @dataclass(eq=False)
-class Graph:
+class StateGraph:
     """The state graph of a table: each node once, layer by layer.
 
     Raises
@@ -70,7 +70,7 @@ class Graph:
         There are more than `max_states` states.
     """
 
-    team: Team
+    team: TeamActions
     max_states: int
     num_states: int = 0
     root: Arrival = field(init=False)
@@ -100,7 +100,7 @@ class Graph:
         self._arrivals: dict[tuple[Tally, Work, Held | None], Arrival] = {}
         self._ends: dict[tuple[Looks | None, ...], Arrival] = {}
 
-    def choices(self, node: Node) -> dict[int, Choice]:
+    def choices(self, node: Node) -> dict[int, ActionOutcomes]:
         """Choices in a node; those of the last layer, which are most of the graph, are not kept."""
         if node.choices:
             return node.choices
@@ -110,16 +110,16 @@ class Graph:
         if self.team.is_alone:
             # The next event is the next decision, so no node is needed in between.
             return {action: self._outcome(node.tally, work) for action, work in decisions}
-        return {action: Choice(0.0, {self._arrival(node.tally, work, None): 1.0}) for action, work in decisions}
+        return {action: ActionOutcomes(0.0, {self._arrival(node.tally, work, None): 1.0}) for action, work in decisions}
 
-    def _outcome(self, tally: Tally, work: Work) -> Choice:
+    def _outcome(self, tally: Tally, work: Work) -> ActionOutcomes:
         reward: Grid | float = 0.0
         ways: dict[Arrival, float] = {}
         for probability, paid, after, then, held in self.team.outcomes(tally, work):
             reward = reward + probability * paid
             arrival = self._arrival(after, then, held)
             ways[arrival] = ways.get(arrival, 0.0) + probability
-        return Choice(reward, ways)
+        return ActionOutcomes(reward, ways)
 
     def _arrival(self, tally: Tally, work: Work, held: Held | None) -> Arrival:
         """Arrival after a look, or without a look if `held` is None."""

@@ -38,7 +38,7 @@ class Views(NamedTuple):
         return int(np.argmax(self.is_held)) if self.is_held.any() else 0
 
 
-class Cells(NamedTuple):
+class CellBeliefs(NamedTuple):
     """Belief about the object in each cell."""
 
     log_odds: Float[np.ndarray, " cells"]
@@ -51,7 +51,7 @@ class Cells(NamedTuple):
         return 1.0 / (1.0 + np.exp(-self.log_odds))
 
 
-class Look(NamedTuple):
+class LabelTransitions(NamedTuple):
     """One more label of an object: the transitions of the cells of its axis, with their probabilities."""
 
     looks: Looks
@@ -75,23 +75,23 @@ class CountedLabels:
         return (0,) * len(self.views.occluded)
 
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019 bounded, and the entries are small
-    def cells(self, looks: Looks) -> Cells:
+    def cells(self, looks: Looks) -> CellBeliefs:
         """Cells of a record of looks."""
         positive = self.seeing.positive(self.views.occluded, 0.0, self.views.is_held)
         if_said, if_not = (label_evidence(*positive, says_dirty) for says_dirty in (True, False))
         said = 2 * _dirty_labels(looks) - np.array(looks)[:, None]
         log_odds = self.prior + (if_said - if_not) / 2 @ said + (if_said + if_not) / 2 @ np.array(looks)
-        return Cells(log_odds, np.zeros_like(log_odds))
+        return CellBeliefs(log_odds, np.zeros_like(log_odds))
 
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
-    def look(self, looks: Looks, view: int) -> Look | None:
+    def look(self, looks: Looks, view: int) -> LabelTransitions | None:
         """Transition of one more look; None if it shows nothing new."""
         after = (*looks[:view], looks[view] + 1, *looks[view + 1 :])
         labels, shape = _dirty_labels(looks), [count + 1 for count in after]
         one_more = labels + (np.arange(len(looks)) == view)[:, None]
         if_clean, if_dirty = (np.asarray(np.ravel_multi_index(tuple(each), shape)) for each in (labels, one_more))
         positive = self.seeing.positive(self.views.occluded[view], 0.0, self.views.is_held[view])
-        return Look(after, if_clean, if_dirty, _says_dirty(self.cells(looks), *positive))
+        return LabelTransitions(after, if_clean, if_dirty, _says_dirty(self.cells(looks), *positive))
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,19 +106,19 @@ class RecordedLabels:
     """Record before the first look."""
 
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
-    def cells(self, looks: Looks) -> Cells:
+    def cells(self, looks: Looks) -> CellBeliefs:
         """Cells of a record of looks: each look appends a cell for every cell in which it may say DIRTY."""
         if not looks:
-            return Cells(np.array([self.prior]), np.zeros(1))
+            return CellBeliefs(np.array([self.prior]), np.zeros(1))
         before, view = self.cells(looks[:-1]), looks[-1]
         positive = self._positive(before, view)
         is_news = positive[0] + positive[1] > 0.0
         if_not, if_said = (before.log_odds + label_evidence(*positive, is_news & says) for says in (False, True))
         seen = [self._seen_after(before, view, says) for says in (False, True)]
-        return Cells(np.append(if_not, if_said[is_news]), np.append(seen[0], seen[1][is_news]))
+        return CellBeliefs(np.append(if_not, if_said[is_news]), np.append(seen[0], seen[1][is_news]))
 
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
-    def look(self, looks: Looks, view: int) -> Look | None:
+    def look(self, looks: Looks, view: int) -> LabelTransitions | None:
         """Transition of one more look; None if it shows nothing new."""
         before, cells = self.cells(looks), np.arange(len(self.cells(looks).seen))
         positive = self._positive(before, view)
@@ -126,13 +126,15 @@ class RecordedLabels:
         if not (is_news | (self._seen_after(before, view, False) != before.seen)).any():
             return None
         if_dirty = np.where(is_news, cells[-1] + np.cumsum(is_news), cells)
-        return Look((*looks, view), cells, if_dirty, _says_dirty(before, *positive))
+        return LabelTransitions((*looks, view), cells, if_dirty, _says_dirty(before, *positive))
 
-    def _positive(self, before: Cells, view: int) -> tuple[Float[np.ndarray, " cells"], Float[np.ndarray, " cells"]]:
+    def _positive(
+        self, before: CellBeliefs, view: int
+    ) -> tuple[Float[np.ndarray, " cells"], Float[np.ndarray, " cells"]]:
         if_dirty, if_clean = self.seeing.positive(self.views.occluded[view], before.seen, self.views.is_held[view])
         return np.broadcast_to(if_dirty, before.seen.shape), np.broadcast_to(if_clean, before.seen.shape)
 
-    def _seen_after(self, before: Cells, view: int, says_dirty: bool) -> Float[np.ndarray, " cells"]:
+    def _seen_after(self, before: CellBeliefs, view: int, says_dirty: bool) -> Float[np.ndarray, " cells"]:
         after = self.seeing.after(self.views.occluded[view], before.seen, says_dirty, self.views.is_held[view])
         return np.broadcast_to(after, before.seen.shape)
 
@@ -153,7 +155,7 @@ def labels_of(seeing: KnownSeeing, occlusions: Float[np.ndarray, " levels"], dir
     return (CountedLabels if is_independent(seeing) else RecordedLabels)(seeing, views, prior)
 
 
-def _says_dirty(before: Cells, if_dirty: Grid | float, if_clean: Grid | float) -> Float[np.ndarray, " cells"]:
+def _says_dirty(before: CellBeliefs, if_dirty: Grid | float, if_clean: Grid | float) -> Float[np.ndarray, " cells"]:
     return before.dirty * if_dirty + (1.0 - before.dirty) * if_clean
 
 
@@ -167,7 +169,7 @@ def along(values: Float[np.ndarray, " cells"], axis: int, num_axes: int) -> Grid
     return values.reshape([-1 if at == axis else 1 for at in range(num_axes)])
 
 
-def expected_over_labels(values: Grid, looks: tuple[Look | None, ...]) -> Grid:
+def expected_over_labels(values: Grid, looks: tuple[LabelTransitions | None, ...]) -> Grid:
     """Expectation over the labels of a look: from values on the grid after it to values on the grid before it."""
     for axis, look in enumerate(looks):
         if look is not None:
@@ -178,7 +180,7 @@ def expected_over_labels(values: Grid, looks: tuple[Look | None, ...]) -> Grid:
     return values
 
 
-def spread_over_labels(mass: Grid, looks: tuple[Look | None, ...], shape: tuple[int, ...]) -> Grid:
+def spread_over_labels(mass: Grid, looks: tuple[LabelTransitions | None, ...], shape: tuple[int, ...]) -> Grid:
     """Probability of each cell of the grid (of `shape`) after a look, from the probabilities before it.
 
     The objects' axes are the last of `mass`; leading axes are kept.

@@ -8,10 +8,10 @@ import numpy as np
 
 from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError
-from halfseen.planners.exact_graph import GO_ON, Arrival, Choice, Graph, Node
+from halfseen.planners.exact_graph import GO_ON, ActionOutcomes, Arrival, Node, StateGraph
 from halfseen.planners.exact_labels import Grid, spread_over_labels
 from halfseen.planners.exact_table import GridWorld, Tally
-from halfseen.planners.exact_team import PARKED, Team
+from halfseen.planners.exact_team import PARKED, TeamActions
 from halfseen.shapes import Float, Int
 from halfseen.world import random
 from halfseen.world.actions import FINISH
@@ -81,7 +81,7 @@ def _thinned(mass: Float[np.ndarray, " n"], max_states: int, draw: float) -> Flo
     return kept
 
 
-def states_of(team: Team, nodes: Collection[Node]) -> TableState:
+def states_of(team: TeamActions, nodes: Collection[Node]) -> TableState:
     """State shown to a policy in each of some nodes, without the labels.
 
     It holds only attempts at objects that have not left, so that there is room for all later attempts.
@@ -159,7 +159,7 @@ def actions_in(states: TableState, reached: Reached, policies: Sequence[Policy],
 class Flow:
     """Probability mass and accumulated reward of the trajectories of P policies."""
 
-    def __init__(self, graph: Graph, num_policies: int) -> None:
+    def __init__(self, graph: StateGraph, num_policies: int) -> None:
         self.graph, self.earned = graph, np.zeros(num_policies)
         self.masses: dict[int, Grid] = {}
         """For each node of the next layer, by index: probability of each cell under each policy."""
@@ -191,12 +191,12 @@ class Flow:
                     moved[:, *axes] = taken[movers]
                     self._send(choice, moved, movers)
 
-    def _paid(self, choice: Choice) -> Grid | float:
+    def _paid(self, choice: ActionOutcomes) -> Grid | float:
         """Reward of a choice until the next decision or the end."""
         ends = [(arrival, probability) for arrival, probability in choice.ways.items() if arrival.node is None]
         return sum((probability * self.graph.worth(arrival) for arrival, probability in ends), choice.reward)
 
-    def _send(self, choice: Choice, mass: Grid, movers: Int[np.ndarray, " M"]) -> None:
+    def _send(self, choice: ActionOutcomes, mass: Grid, movers: Int[np.ndarray, " M"]) -> None:
         for arrival, probability in choice.ways.items():
             if arrival.node is not None:
                 self._arrive(arrival, probability * mass, movers)

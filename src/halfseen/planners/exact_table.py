@@ -18,7 +18,7 @@ from numpy.polynomial.hermite_e import hermegauss
 from halfseen.arrays import Array, Number, PerObject, Which, at, library_of, mapped, record
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import known_grasping, known_seeing, offset_prior
-from halfseen.planners.exact_labels import Grid, Labels, Look, Looks, along, labels_of
+from halfseen.planners.exact_labels import Grid, Labels, LabelTransitions, Looks, along, labels_of
 from halfseen.shapes import Float, Int
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
@@ -240,14 +240,14 @@ class GridWorld:
         (successes if is_held else failures)[level] += 1
         return self.counted(counted.cup, counted.looks, tuple(failures), tuple(successes))
 
-    def looked(self, tally: Tally, held: Held) -> tuple[Tally, tuple[Look | None, ...]]:
+    def looked(self, tally: Tally, held: Held) -> tuple[Tally, tuple[LabelTransitions | None, ...]]:
         """Look once at every object on the table: the next tally, and each axis's transition, None if unchanged."""
         levels = self.levels(tally, held)
         seen = [_GONE if each is None else self.seen(each, levels[each.cup], each.cup in held) for each in tally]
         after, looks = zip(*seen, strict=True)
         return after, looks
 
-    def seen(self, counted: Counted, level: int, is_held: bool) -> tuple[Counted, Look | None]:
+    def seen(self, counted: Counted, level: int, is_held: bool) -> tuple[Counted, LabelTransitions | None]:
         """Look once at one object, which is occluded by `level` or held up."""
         labels = self.labels[counted.cup]
         look = labels.look(counted.looks, labels.views.held if is_held else level)

@@ -30,7 +30,7 @@ _DIGITS = 6
 _MAX_CACHED = 8192
 
 
-class End(NamedTuple):
+class AttemptEnd(NamedTuple):
     """One possible ending of an attempt of a robot in a team."""
 
     is_held: bool
@@ -48,7 +48,7 @@ class Doing(NamedTuple):
     level: int = 0
     """Index of the occlusion of its object when it began."""
     since_s: float = 0.0
-    ends: tuple[End, ...] = ()
+    ends: tuple[AttemptEnd, ...] = ()
     """Endings that are still possible; none if it does not end by itself."""
 
 
@@ -81,10 +81,10 @@ class Work(NamedTuple):
         return not any(doing.verb >= 0 or (doing.verb == FREE and to_go) for doing, to_go in zip(*self, strict=True))
 
 
-class Ending(NamedTuple):
+class ActionEnding(NamedTuple):
     """One possible ending of a robot's action, given the statistics of its object."""
 
-    end: End
+    end: AttemptEnd
     probability: float
     left_s: float
     """Time until then [s]."""
@@ -92,7 +92,7 @@ class Ending(NamedTuple):
     """Reward with the price of the seconds, but without that of having washed an object."""
 
 
-class Outcome(NamedTuple):
+class NextEvent(NamedTuple):
     """One possible next event."""
 
     probability: float
@@ -113,7 +113,7 @@ class Meanwhile(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Team:
+class TeamActions:
     """The actions of robots at one table, and their possible outcomes.
 
     `workspace` is None for one robot that reaches everything.
@@ -156,18 +156,18 @@ class Team:
 
     @cached_property
     def _leaving(self) -> list[Doing]:
-        return [Doing(Verb.FINISH, ends=(End(False, seconds, 1.0),)) for seconds in self._transport_s]
+        return [Doing(Verb.FINISH, ends=(AttemptEnd(False, seconds, 1.0),)) for seconds in self._transport_s]
 
     @cached_property
-    def _ends(self) -> list[tuple[End, ...]]:
+    def _ends(self) -> list[tuple[AttemptEnd, ...]]:
         """Possible endings of an attempt of each robot; for a single robot, only success matters."""
         law, transport_s = self.config.grasping, float(self.config.transport_s)
         if not isinstance(law, GridGrasping) or self.is_alone:
-            return [(End(False, np.nan, 1.0), End(True, np.nan, 1.0))]
+            return [(AttemptEnd(False, np.nan, 1.0), AttemptEnd(True, np.nan, 1.0))]
         times = [(True, time, share) for time, share in zip(law.held_s, law.held_share, strict=True)]
         return [
             tuple(
-                End(is_held, round((transport_s + float(time)) / float(speed), _DIGITS), float(share))
+                AttemptEnd(is_held, round((transport_s + float(time)) / float(speed), _DIGITS), float(share))
                 for is_held, time, share in ((False, law.limit_s, 1.0), *times)
             )
             for speed in self.config.speed
@@ -200,7 +200,7 @@ class Team:
         space = self.workspace
         return space is None or bool(space.is_in_reach[robot, cup] and not space.is_near[at, cup].any())
 
-    def outcomes(self, tally: Tally, work: Work) -> Iterator[Outcome]:
+    def outcomes(self, tally: Tally, work: Work) -> Iterator[NextEvent]:
         """Iterate over the possible next events while no robot is free."""
         is_watched = work.is_watched
         for robot, doing in enumerate(work.doings):
@@ -218,9 +218,9 @@ class Team:
                     doings = [each.doing for each in known]
                     doings.insert(robot, done)
                     then = Work(tuple(doings), work.to_go)
-                    yield Outcome(probability, reward, after, then, in_the_air if is_watched else None)
+                    yield NextEvent(probability, reward, after, then, in_the_air if is_watched else None)
 
-    def _endings(self, robot: int, doing: Doing, tally: Tally) -> list[Ending]:
+    def _endings(self, robot: int, doing: Doing, tally: Tally) -> list[ActionEnding]:
         """Possible endings of a robot's action."""
         counted = tally[doing.target]
         if doing.verb in (Verb.WASH, Verb.LIFT):
@@ -228,10 +228,10 @@ class Team:
             return self._endings_of_attempt(robot, doing, counted.failures, counted.successes)
         price = float(self.config.reward_per_s)
         left_s = [_left_s(doing, end.duration_s) for end in doing.ends]
-        return [Ending(end, 1.0, left, price * left) for end, left in zip(doing.ends, left_s, strict=True)]
+        return [ActionEnding(end, 1.0, left, price * left) for end, left in zip(doing.ends, left_s, strict=True)]
 
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019 bounded, and the entries are small
-    def _endings_of_attempt(self, robot: int, doing: Doing, failures: Counts, successes: Counts) -> list[Ending]:
+    def _endings_of_attempt(self, robot: int, doing: Doing, failures: Counts, successes: Counts) -> list[ActionEnding]:
         config, is_lift = self.config, doing.verb == Verb.LIFT
         held, mean_s = self.world.attempt(doing.target, failures, successes, doing.level)
         mean_s /= float(config.speed[robot])
@@ -242,10 +242,10 @@ class Team:
             left_s = _left_s(doing, duration_s)
             of_wash = 0.0 if end.is_held else float(config.reward_wash_failed)
             paid = float(config.reward_lift_per_s) * duration_s if is_lift else of_wash
-            endings.append(Ending(end, weight / sum(weights), left_s, paid + float(config.reward_per_s) * left_s))
+            endings.append(ActionEnding(end, weight / sum(weights), left_s, paid + float(config.reward_per_s) * left_s))
         return endings
 
-    def _ended(self, tally: Tally, doing: Doing, ending: Ending) -> tuple[Grid | float, Tally, Doing, Held]:
+    def _ended(self, tally: Tally, doing: Doing, ending: ActionEnding) -> tuple[Grid | float, Tally, Doing, Held]:
         """Result of a robot's ended action: reward, tally, next state of the robot, and the objects that it holds."""
         verb, target, counted = doing.verb, doing.target, tally[doing.target]
         if verb == Verb.FINISH:
@@ -265,7 +265,7 @@ class Team:
         """Possible states of a robot when another is done first."""
         if not doing.ends:
             return [Meanwhile(1.0, IDLE if doing.verb == WAIT else doing)]
-        open_ends: dict[bool, list[Ending]] = {}
+        open_ends: dict[bool, list[ActionEnding]] = {}
         for each in self._endings(robot, doing, tally):
             rest_s = each.left_s - passed_s
             # If two actions end at the same time, that of the lower-numbered robot ends first.

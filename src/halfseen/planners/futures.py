@@ -22,7 +22,7 @@ from halfseen.world import random
 from halfseen.world.actions import WAIT, Verb, possible_actions
 from halfseen.world.attempts import attempted
 from halfseen.world.config import WorldConfig
-from halfseen.world.policy import Decision, Policy
+from halfseen.world.policy import Policy, PolicyDraw
 from halfseen.world.random import Key
 from halfseen.world.seeing import Glimpse, KnownSeeing, LookOutcome, labelled
 from halfseen.world.state import HiddenState, Pending, Robots, TableState, occlusion
@@ -248,7 +248,7 @@ class RolloutPolicy:
         """K."""
         return self.config.num_robots
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Choose for each table; the futures draw from `key` (the propensity is unknown)."""
         future_key, rule_key = random.split(key)
         by_rule = self.rule.decide(state, rule_key).action
@@ -262,4 +262,4 @@ class RolloutPolicy:
         promise = xp.where(is_possible, gain, np.float32(-np.inf))
         best = xp.argmax(promise, axis=-1)
         action = xp.where(at(promise, best) > 0.0, best, by_rule).astype(np.int32)
-        return Decision(action, xp.full(action.shape, np.nan, dtype=np.float32))
+        return PolicyDraw(action, xp.full(action.shape, np.nan, dtype=np.float32))

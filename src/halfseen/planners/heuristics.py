@@ -19,7 +19,7 @@ from halfseen.planners.belief import expected_attempt_s, grasp_probability, grip
 from halfseen.shapes import Float
 from halfseen.world.actions import FINISH, ActionSpace, Verb, is_decider, of_robot, others_of, possible_actions, wait_of
 from halfseen.world.config import WorldConfig
-from halfseen.world.policy import Decision, GraspModel, surely
+from halfseen.world.policy import GraspModel, PolicyDraw, surely
 from halfseen.world.random import Key
 from halfseen.world.state import TableState, occlusion
 
@@ -86,7 +86,7 @@ class GreedyPolicy:
         worth = probability * washed + (1.0 - probability) * config.reward_wash_failed
         return library_of(worth).where(state.is_on_table, worth, np.float32(-np.inf))
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Choose for each table; deterministic."""
         worth = self.worth(state)
         xp = library_of(worth)
@@ -111,7 +111,7 @@ class TeamOfRules(_OfTeam):
         The rule of thumb for one robot.
     """
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Choose for each table; deterministic."""
         gain = _worth(self.rule, state)
         return _chosen(state, gain, gain)
@@ -142,7 +142,7 @@ class ReservingPolicy:
         """K."""
         return self.config.num_robots
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Choose for each table; deterministic."""
         others, worth, world = others_of(state), _worth(self.rule, state), self.config.as_robot(state.decider)
         xp, grip = library_of(worth), prior_grip(state.grip)
@@ -168,7 +168,7 @@ class RoundRobin(_OfTeam):
         The rule of thumb for one robot.
     """
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Choose for each table; deterministic."""
         assert state.workspace is not None
         xp = library_of(state.is_on_table)
@@ -193,7 +193,7 @@ class OneAtATime(_OfTeam):
         The rule of thumb for one robot.
     """
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Choose for each table; deterministic."""
         gain, wait = _worth(self.rule, state), wait_of(state.num_objects)
         of_turn = _chosen(state, gain, gain)
@@ -208,7 +208,7 @@ def _worth(rule: GreedyPolicy, state: TableState) -> Float[Array, "*B N"]:
     return library_of(worth).where(is_reached, worth, np.float32(-np.inf))
 
 
-def _chosen(state: TableState, gain: Float[Array, "*B N"], preferred: Float[Array, "*B N"]) -> Decision:
+def _chosen(state: TableState, gain: Float[Array, "*B N"], preferred: Float[Array, "*B N"]) -> PolicyDraw:
     """WASH the preferred free object with a gain; else WAIT if a blocked object has a gain; else FINISH."""
     xp, is_possible, actions = library_of(gain), possible_actions(state), ActionSpace(state.num_objects)
     wait = wait_of(state.num_objects)

@@ -28,10 +28,10 @@ from halfseen.world.state import TableState
 
 _ZERO, _ONE, _NEVER, _TINY = np.float32(0.0), np.float32(1.0), np.float32(-np.inf), np.finfo(np.float32).tiny
 MISSED, HELD, MISSED_THEN_HELD, HELD_TWICE, ATTEMPT_S, NOW = range(6)
-"""Rows of `Setting.attempts`; from the last on, P(success) in each way except in the hand."""
+"""Rows of `Chances.attempts`; from the last on, P(success) in each way except in the hand."""
 
 
-class Table(NamedTuple):
+class Beliefs(NamedTuple):
     """Beliefs of tables; entries of absent objects are arbitrary but finite."""
 
     is_there: Bool[Array, " N *B"]
@@ -44,7 +44,7 @@ class Table(NamedTuple):
     grip: Float[Array, " N *B"]
 
 
-class Setting(NamedTuple):
+class Chances(NamedTuple):
     """Occlusions and the resulting probabilities of labels and attempts."""
 
     occluded: Float[Array, "M N *B"]
@@ -61,7 +61,7 @@ class Outlook(NamedTuple):
     likelihood: Float[Array, "2 G N *B"]
     """P(an attempt now fails, and succeeds) at each node of the grip offset."""
     expected: tuple[Float[Array, "W N *B"], ...]
-    """`Setting.attempts`, with the grip offset integrated out."""
+    """`Chances.attempts`, with the grip offset integrated out."""
     hit: Float[Array, "2 M N *B"]
     """P(the next label says dirty, or not, and the object is dirty)."""
     says: Float[Array, "2 M N *B"]
@@ -88,7 +88,7 @@ def _behind(constants: np.ndarray, num_axes: int) -> np.ndarray:
     return constants.reshape(constants.shape + (1,) * num_axes)
 
 
-def table_of(config: WorldConfig, state: TableState) -> Table:
+def table_of(config: WorldConfig, state: TableState) -> Beliefs:
     """Beliefs from states, with the batch axes last and no NaN in padding.
 
     Raises
@@ -105,10 +105,10 @@ def table_of(config: WorldConfig, state: TableState) -> Table:
     weights = xp.moveaxis(softmax(grip_posterior(config, state).log_weights), (-1, -2), (0, 1))
     weights = xp.where(is_there, weights, _ONE)
     hides = xp.moveaxis(state.hides, range(num_axes), range(-num_axes, 0))
-    return Table(is_there, is_dirty, weights, seen, state.steps_to_go, hides, grip)
+    return Beliefs(is_there, is_dirty, weights, seen, state.steps_to_go, hides, grip)
 
 
-def setting_of(worlds: tuple[WorldConfig, ...], table: Table, robot: Int[Array, "*B"] | None = None) -> Setting:
+def setting_of(worlds: tuple[WorldConfig, ...], table: Beliefs, robot: Int[Array, "*B"] | None = None) -> Chances:
     """Compute the setting of a table.
 
     There is one world for each law of grasping; `robot` makes the first attempt if each has its own law.
@@ -129,10 +129,10 @@ def setting_of(worlds: tuple[WorldConfig, ...], table: Table, robot: Int[Array, 
     for held, attempt_s in zip(helds, seconds, strict=True):
         first = (missed, own, missed * held[0], own * held[0], attempt_s)
         attempts.append(xp.concatenate([*(each[None] for each in first), held]))
-    return Setting(occluded, labels_in(worlds[0], table, occluded), tuple(attempts))
+    return Chances(occluded, labels_in(worlds[0], table, occluded), tuple(attempts))
 
 
-def occlusions_in(table: Table) -> Float[Array, "M N *B"]:
+def occlusions_in(table: Beliefs) -> Float[Array, "M N *B"]:
     """Occlusion of each object in each way."""
     xp, num_axes = library_of(table.hides), table.is_there.ndim - 1
     # Absent objects hide nothing, even if their share is padding (NaN).
@@ -141,8 +141,8 @@ def occlusions_in(table: Table) -> Float[Array, "M N *B"]:
     return _ONE - xp.prod(xp.fmax(visible, _behind(gone[:, None], num_axes)), axis=2)
 
 
-def labels_in(config: WorldConfig, table: Table, occluded: Float[Array, "M N *B"]) -> Float[Array, "2 2 M N *B"]:
-    """`Setting.label`, from the occlusion in each way."""
+def labels_in(config: WorldConfig, table: Beliefs, occluded: Float[Array, "M N *B"]) -> Float[Array, "2 2 M N *B"]:
+    """`Chances.label`, from the occlusion in each way."""
     xp, (num_ways, num_objects) = library_of(occluded), occluded.shape[:2]
     is_in_hand = _behind(np.arange(num_ways)[:, None] == num_ways - 1, table.is_there.ndim - 1)
     says_dirty = xp.stack(known_seeing(config).positive(occluded, table.seen, is_in_hand))
@@ -151,7 +151,7 @@ def labels_in(config: WorldConfig, table: Table, occluded: Float[Array, "M N *B"
     return (xp.stack([says_dirty, _ONE - says_dirty], axis=1) * is_counted).astype(np.float32)
 
 
-def outlook_of(config: WorldConfig, table: Table, setting: Setting | None = None) -> Outlook:
+def outlook_of(config: WorldConfig, table: Beliefs, setting: Chances | None = None) -> Outlook:
     """Predict the outcomes of one attempt at each object, by default in the setting of the world's own law."""
     setting = setting_of((config,), table) if setting is None else setting
     expected = tuple((table.weights * each).sum(axis=1) for each in setting.attempts)
@@ -237,7 +237,7 @@ def attempts_worth(
     return _pair(wash, lift) + held * gains[:, 1:] + missed * gains[:, :1]
 
 
-def rule_and_control(config: WorldConfig, table: Table, look: Outlook) -> Float[Array, "2 C *B"]:
+def rule_and_control(config: WorldConfig, table: Beliefs, look: Outlook) -> Float[Array, "2 C *B"]:
     """Q_1 and Q° of WASH and LIFT of each object relative to leaving all, for one robot; −∞ for absent objects.
 
     With one step to go, Q_1 is exact and Q° undefined.
@@ -246,7 +246,7 @@ def rule_and_control(config: WorldConfig, table: Table, look: Outlook) -> Float[
 
 
 def values_by(
-    config: WorldConfig, table: Table, look: Outlook, each: Float[Array, "2 2 M N *B"]
+    config: WorldConfig, table: Beliefs, look: Outlook, each: Float[Array, "2 2 M N *B"]
 ) -> Float[Array, "2 C *B"]:
     """`rule_and_control`, from the result of `tries_then`."""
     xp, tries = library_of(look.worth), tries_after(each)
@@ -256,13 +256,13 @@ def values_by(
     return values.reshape(2, -1, *table.steps_to_go.shape)
 
 
-def control_value(table: Table, look: Outlook) -> Float[Array, "*B"]:
+def control_value(table: Beliefs, look: Outlook) -> Float[Array, "*B"]:
     """V° relative to leaving all: every object is left, or tried once if better, without a limit on steps."""
     xp = library_of(look.worth)
     return xp.where(table.is_there, xp.maximum(look.worth, _ZERO), _ZERO).sum(axis=0)
 
 
-def left_price(config: WorldConfig, table: Table) -> Float[Array, "*B"]:
+def left_price(config: WorldConfig, table: Beliefs) -> Float[Array, "*B"]:
     """Expected penalty for leaving all objects."""
     is_dirty = library_of(table.is_dirty).where(table.is_there, table.is_dirty, _ZERO)
     return config.reward_dirty_left * is_dirty.sum(axis=0)

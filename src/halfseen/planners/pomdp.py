@@ -25,7 +25,7 @@ from halfseen.planners.rollout import Search, drawn, draws_of, halved, num_steps
 from halfseen.shapes import Float, Int
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
-from halfseen.world.policy import Decision
+from halfseen.world.policy import PolicyDraw
 from halfseen.world.random import Key
 from halfseen.world.state import TableState, check_goes_on
 
@@ -67,11 +67,11 @@ class POMDPPolicy:
             if getattr(self, name) < 1:
                 raise ArgumentError(f"{name} is {getattr(self, name)}; give at least 1")
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Choose for each table; the rollouts draw from `key` (the propensity is unknown)."""
         q = self.q_values(state, key)
         xp = library_of(q)
-        return Decision(xp.argmax(q, axis=-1).astype(np.int32), xp.full(q.shape[:-1], np.nan, dtype=np.float32))
+        return PolicyDraw(xp.argmax(q, axis=-1).astype(np.int32), xp.full(q.shape[:-1], np.nan, dtype=np.float32))
 
     def q_values(self, state: TableState, key: Key) -> Float[Array, "*B A"]:
         """Q_h of every action; −∞ if impossible."""

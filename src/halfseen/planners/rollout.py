@@ -24,7 +24,7 @@ import numpy as np
 from halfseen.arrays import Array, library_of, mapped, record
 from halfseen.planners import one_step
 from halfseen.planners.belief import known_seeing
-from halfseen.planners.one_step import HELD, Outlook, Setting, Table, laid_out, left_price, rule_and_control, table_of
+from halfseen.planners.one_step import HELD, Beliefs, Chances, Outlook, laid_out, left_price, rule_and_control, table_of
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
 from halfseen.world.actions import FINISH
@@ -62,10 +62,10 @@ class Settings(NamedTuple):
 
     bit: Int[np.ndarray, " N"]
     """Bit of each object in the index of a subset; 0 for absent objects."""
-    each: Setting
+    each: Chances
     """Setting of each subset, by index; labels assume that no more has been seen."""
 
-    def of(self, config: WorldConfig, table: Table) -> Setting:
+    def of(self, config: WorldConfig, table: Beliefs) -> Chances:
         """Settings of later beliefs of that table."""
         setting = picked(self.each, self.bit @ table.is_there)
         if type(config.seeing) is AssumedSeeing:
@@ -73,7 +73,7 @@ class Settings(NamedTuple):
         return setting._replace(label=one_step.labels_in(config, table, setting.occluded))
 
 
-def settings_of(config: WorldConfig, table: Table) -> Settings | None:
+def settings_of(config: WorldConfig, table: Beliefs) -> Settings | None:
     """Settings of all subsets of the objects of one table; None for several tables, too many objects, or JAX."""
     if library_of(table.hides) is not np or table.is_there.shape[1] != 1:
         return None
@@ -87,14 +87,14 @@ def settings_of(config: WorldConfig, table: Table) -> Settings | None:
     return Settings(bit, one_step.setting_of((config,), every))
 
 
-def looked(config: WorldConfig, table: Table, settings: Settings | None) -> Outlook:
+def looked(config: WorldConfig, table: Beliefs, settings: Settings | None) -> Outlook:
     """Predict the outcomes of one attempt, from precomputed settings if given."""
     return one_step.outlook_of(config, table, None if settings is None else settings.of(config, table))
 
 
 def successor(
-    config: WorldConfig, table: Table, look: Outlook, choice: Int[Array, " R"], draws: Float[Array, "draws R"]
-) -> Table:
+    config: WorldConfig, table: Beliefs, look: Outlook, choice: Int[Array, " R"], draws: Float[Array, "draws R"]
+) -> Beliefs:
     """Sample the belief after an attempt, one particle per lane.
 
     `choice` indexes WASH of each object, then LIFT of each. `draws` are uniform in [0, 1): one for the success of the
@@ -166,7 +166,7 @@ def advantages(
 
 
 def _followed(
-    config: WorldConfig, table: Table, look: Outlook, last_step: Int[Array, " R"]
+    config: WorldConfig, table: Beliefs, look: Outlook, last_step: Int[Array, " R"]
 ) -> tuple[Int[Array, " R"], Float[Array, " R"], Bool[Array, " R"]]:
     """Next action of the rule, its advantage, and whether the trajectory ends with it."""
     values = one_step.rule_and_control(config, table, look)
@@ -190,7 +190,7 @@ class Search:
     """Some tables, with the results of the rollouts of each action so far."""
 
     config: WorldConfig
-    table: Table
+    table: Beliefs
     look: Outlook
     settings: Settings | None
     """Only for a single table."""

@@ -13,7 +13,7 @@ from halfseen.logs import Logs
 from halfseen.logs.columns import as_floats, place, shown, value_at
 from halfseen.perception.tracking import FARTHEST_M, NEARLY_AS_NEAR_M, matched
 from halfseen.shapes import Float, Int
-from halfseen.tables.present import Known, Present, Tried, state_now, unknown
+from halfseen.tables.present import KnownObjects, PastAttempt, Present, state_now, unknown
 from halfseen.world.actions import TARGETED, Verb
 from halfseen.world.log_checks import PLACE_COLUMNS
 from halfseen.world.logs import states_of
@@ -200,7 +200,7 @@ def present_state(
         elif not (is_held and is_wash):
             target = int(np.flatnonzero(same.was == done.target)[0])
             occluded = 1.0 - np.prod(1.0 - last.hides[done.target][last.is_on_table])
-            tried.append(Tried(target, float(occluded), is_held))
+            tried.append(PastAttempt(target, float(occluded), is_held))
             known.lifts[target] += is_held and done.verb == Verb.LIFT.name
     stage = trajectory.horizon + (done is not None)
     state = state_now(_hides(last, same.was, scene), known, tried, horizon, stage)
@@ -266,12 +266,12 @@ def _identities(
         raise PolicyError(f"{place(trajectory.stages, -1)}: {error}") from error
 
 
-def _attempts(last: Any, was: Int[np.ndarray, " k"]) -> list[Tried]:
+def _attempts(last: Any, was: Int[np.ndarray, " k"]) -> list[PastAttempt]:
     """Past attempts on the objects that are still there."""
     columns = last.attempt_object.tolist(), last.attempt_occlusion.tolist(), last.attempt_succeeded.tolist()
     number = {rank: now for now, rank in enumerate(was.tolist()) if rank >= 0}
     rows = zip(*columns, strict=True)
-    return [Tried(number[target], occluded, held) for target, occluded, held in rows if target in number]
+    return [PastAttempt(number[target], occluded, held) for target, occluded, held in rows if target in number]
 
 
 def _hides(last: Any, was: Int[np.ndarray, " k"], scene: Scene) -> Hides:
@@ -282,7 +282,7 @@ def _hides(last: Any, was: Int[np.ndarray, " k"], scene: Scene) -> Hides:
     return hides
 
 
-def _known(last: Any, was: Int[np.ndarray, " k"], fresh: Known) -> Known:
+def _known(last: Any, was: Int[np.ndarray, " k"], fresh: KnownObjects) -> KnownObjects:
     """What the history knows of each object; for objects not in it, the initial knowledge.
 
     Ease of grip comes from the cloud for objects that it shows.
@@ -294,4 +294,4 @@ def _known(last: Any, was: Int[np.ndarray, " k"], fresh: Known) -> Known:
         first[is_seen] = getattr(fresh, name)
         return np.where(is_fresh, first, getattr(last, name)[was])
 
-    return Known(*(of(name, is_seen if name == "grip" else is_new) for name in Known._fields))
+    return KnownObjects(*(of(name, is_seen if name == "grip" else is_new) for name in KnownObjects._fields))

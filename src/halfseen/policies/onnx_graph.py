@@ -22,7 +22,7 @@ SCORES, ACTION = "scores", "action"
 _OF = {np.float64: TensorProto.DOUBLE, np.float32: TensorProto.FLOAT}
 
 
-class Graph:
+class OnnxGraph:
     """Nodes and constants, added as they are used.
 
     Parameters
@@ -75,7 +75,7 @@ class Graph:
         return helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
 
 
-def kernel_features(graph: Graph, features: str, psi: KernelMap) -> str:
+def kernel_features(graph: OnnxGraph, features: str, psi: KernelMap) -> str:
     """ψ(x) of each row."""
     scaled = graph("Div", graph("Sub", features, np.asarray(psi.centre)), np.asarray(psi.scale))
     landmarks = np.asarray(psi.landmarks, dtype=np.float64)
@@ -91,7 +91,7 @@ def kernel_features(graph: Graph, features: str, psi: KernelMap) -> str:
     return graph("Concat", trend, smooth, axis=1)
 
 
-def excess_propensity(graph: Graph, utility: str, possible: str) -> str:
+def excess_propensity(graph: OnnxGraph, utility: str, possible: str) -> str:
     """Excess of the log's propensity over chance, for each action; actions are the last axis."""
     odds = graph("Softmax", graph("Where", possible, utility, np.float64(-np.inf)), axis=-1)
     num_possible = graph.total(graph.as_number(possible), -1, keeps=True)
@@ -101,7 +101,12 @@ def excess_propensity(graph: Graph, utility: str, possible: str) -> str:
 
 
 def choose(
-    graph: Graph, possible: str, scores: str, margins: str | None, utility: str | None, behaviour_weight: float = 0.0
+    graph: OnnxGraph,
+    possible: str,
+    scores: str,
+    margins: str | None,
+    utility: str | None,
+    behaviour_weight: float = 0.0,
 ) -> None:
     """Subtract margins from the scores, smaller ones for actions common in the log, and take the best; actions last."""
     nothing = np.float64(-np.inf)
@@ -119,7 +124,7 @@ def choose(
     graph("Where", is_known, graph("ArgMax", SCORES, axis=-1, keepdims=0), np.int64(-1), to=ACTION)
 
 
-def place_of(graph: Graph, count: str, most: int) -> str:
+def place_of(graph: OnnxGraph, count: str, most: int) -> str:
     """Index of a count from 1 to `most`; of any other an index that is refused, as a negative one would be wrapped."""
     at = graph("Sub", count, np.int64(1))
     return graph("Where", graph("Less", at, np.int64(0)), np.int64(most), at)
@@ -130,7 +135,7 @@ COVARIATES, STAGE = "covariates", "stage"
 
 def discrete_graph(policy: DiscretePolicy) -> tuple[Any, dict[str, Any]]:
     """Convert a policy of named actions to an ONNX model, and return its metadata."""
-    graph = Graph(np.float64)
+    graph = OnnxGraph(np.float64)
     at = place_of(graph, STAGE, policy.horizon)
     possible = graph("Gather", policy.is_possible, at)
     features = COVARIATES if policy.kernel_map is None else kernel_features(graph, COVARIATES, policy.kernel_map)

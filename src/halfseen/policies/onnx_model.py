@@ -19,7 +19,7 @@ import halfseen
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.policies.folder.stored import StoredPolicy
-from halfseen.policies.onnx_graph import ACTION, SCORES, Graph, choose, discrete_graph, kernel_features, place_of
+from halfseen.policies.onnx_graph import ACTION, SCORES, OnnxGraph, choose, discrete_graph, kernel_features, place_of
 from halfseen.tables.features import LEAST_IN_SIGHT, LIKELY_ODDS, NUM_FEATURES, NUM_TABLE_FEATURES, ROUNDING
 from halfseen.tables.grasp_table import GraspTable
 from halfseen.tables.policy import LinearTablePolicy
@@ -106,7 +106,7 @@ def table_graph(policy: LinearTablePolicy, horizon: int, num_objects: int) -> tu
     ArgumentError
         The grasp model is no table of numbers.
     """
-    graph, actions = Graph(np.float32), ActionSpace(num_objects)
+    graph, actions = OnnxGraph(np.float32), ActionSpace(num_objects)
     raw = _features(graph, num_objects, policy.grasp)
     phi = raw if policy.kernel_map is None else kernel_features(graph, raw, policy.kernel_map)
     design, verbs = _with_one(graph, phi, actions), actions.verbs
@@ -139,7 +139,7 @@ def _inputs(horizon: int, num_objects: int) -> list[Any]:
     return [helper.make_tensor_value_info(name, kinds[name], field.shape) for name, field in fields.items()]
 
 
-def _features(graph: Graph, num_objects: int, grasp: Any) -> str:
+def _features(graph: OnnxGraph, num_objects: int, grasp: Any) -> str:
     """φ of every action, one per row."""
     state = _state(graph, num_objects)
     columns = _columns(graph, state, _ease(graph, state) if grasp is None else _probability(graph, grasp, state))
@@ -157,7 +157,7 @@ def _features(graph: Graph, num_objects: int, grasp: Any) -> str:
     return graph("Concat", *rows, axis=0)
 
 
-def _state(graph: Graph, num_objects: int) -> _State:
+def _state(graph: OnnxGraph, num_objects: int) -> _State:
     """Counts of attempts, and which objects are in sight."""
     in_column = graph("Unsqueeze", "is_on_table", np.array([0]))
     seen = graph("Max", graph("Sub", np.float32(1.0), "hides"), np.float32(LEAST_IN_SIGHT))
@@ -173,7 +173,7 @@ def _state(graph: Graph, num_objects: int) -> _State:
     return _State(graph("Sigmoid", "log_odds"), in_sight, laid_bare, *counts)
 
 
-def _ease(graph: Graph, state: _State) -> str:
+def _ease(graph: OnnxGraph, state: _State) -> str:
     """Share in sight, times the rule of succession."""
     odds = graph("Add", np.float32(LIKELY_ODDS), graph("Exp", graph("Neg", "grip")))
     likelier = graph("Div", np.float32(1.0 + LIKELY_ODDS), odds)
@@ -182,7 +182,7 @@ def _ease(graph: Graph, state: _State) -> str:
     return graph("Mul", state.in_sight, graph("Mul", rate, likelier))
 
 
-def _probability(graph: Graph, grasp: Any, state: _State) -> str:
+def _probability(graph: OnnxGraph, grasp: Any, state: _State) -> str:
     """Look up P(held) in a table."""
     if not isinstance(grasp, GraspTable):
         raise ArgumentError(f"grasp is a {type(grasp).__name__}, but ONNX can hold only a table of numbers")
@@ -205,7 +205,7 @@ def _probability(graph: Graph, grasp: Any, state: _State) -> str:
     return graph("Div", chance, graph("Add", np.float32(1.0), misses))
 
 
-def _index(graph: Graph, value: str) -> str:
+def _index(graph: OnnxGraph, value: str) -> str:
     return graph("Unsqueeze", graph.as_count(value), np.array([1]))
 
 
@@ -218,7 +218,7 @@ class _Columns(NamedTuple):
     lifted: list[str]
 
 
-def _columns(graph: Graph, state: _State, ease: str) -> _Columns:
+def _columns(graph: OnnxGraph, state: _State, ease: str) -> _Columns:
     by, less, p = partial(graph, "Mul"), partial(graph, "Sub"), state.is_dirty
 
     def behind(value: str) -> str:
@@ -252,21 +252,21 @@ def _columns(graph: Graph, state: _State, ease: str) -> _Columns:
     )
 
 
-def _with_one(graph: Graph, features: str, actions: ActionSpace) -> str:
+def _with_one(graph: OnnxGraph, features: str, actions: ActionSpace) -> str:
     return graph("Concat", np.ones((actions.num_actions, 1)), features, axis=1)
 
 
-def _dot(graph: Graph, design: str, coefficients: Any) -> str:
+def _dot(graph: OnnxGraph, design: str, coefficients: Any) -> str:
     return graph.total(graph("Mul", design, coefficients), 1)
 
 
-def _margins(graph: Graph, policy: LinearTablePolicy, design: str, at: str, verbs: np.ndarray) -> str:
+def _margins(graph: OnnxGraph, policy: LinearTablePolicy, design: str, at: str, verbs: np.ndarray) -> str:
     each = graph("Gather", graph("Gather", np.asarray(policy.margin), at), verbs)
     deviations = graph("MatMul", graph("Unsqueeze", design, np.array([1])), each)
     return graph("Squeeze", graph("Sqrt", graph.total(graph("Mul", deviations, deviations), 2)), np.array([1]))
 
 
-def _possible(graph: Graph, policy: LinearTablePolicy, at: str, verbs: np.ndarray) -> str:
+def _possible(graph: OnnxGraph, policy: LinearTablePolicy, at: str, verbs: np.ndarray) -> str:
     allowed = graph("Concat", np.ones(1, dtype=bool), "is_on_table", "is_on_table", axis=0)
     if policy.is_seen is None:
         return allowed

@@ -13,20 +13,29 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.serving.app import app_of
-    from halfseen.serving.comparing import Comparison
+    from halfseen.serving.comparing import LiveComparison
     from halfseen.serving.opcua.mapping import CellMapping, read_mapping
     from halfseen.serving.opcua.wire import Wire
     from halfseen.serving.recording import RecordedTrajectories
     from halfseen.serving.served import Answering, Served
 
-__all__ = ["Answering", "CellMapping", "Comparison", "RecordedTrajectories", "Served", "Wire", "app_of", "read_mapping"]
+__all__ = [
+    "Answering",
+    "CellMapping",
+    "LiveComparison",
+    "RecordedTrajectories",
+    "Served",
+    "Wire",
+    "app_of",
+    "read_mapping",
+]
 
 __getattr__ = lazy_names(
     __name__,
     {
         "Answering": "served",
         "CellMapping": "opcua.mapping",
-        "Comparison": "comparing",
+        "LiveComparison": "comparing",
         "RecordedTrajectories": "recording",
         "Served": "served",
         "Wire": "opcua.wire",

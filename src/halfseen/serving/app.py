@@ -24,9 +24,9 @@ from halfseen.reading import json_of
 from halfseen.serving import models
 from halfseen.serving.in_service import InService
 from halfseen.serving.limits import LARGEST_CLOUD_BYTES, LARGEST_STATE_BYTES, App, Bounded, cloud_in
-from halfseen.serving.models import Decided, Refusal, model_of
+from halfseen.serving.models import DecisionAnswer, Refusal, model_of
 from halfseen.serving.pages import FORM, JSON, SECURITY, cell_of, described, description_of, page_of
-from halfseen.serving.questions import Seen, seen_in_cloud, seen_in_state
+from halfseen.serving.questions import AskedState, seen_in_cloud, seen_in_state
 from halfseen.serving.served import Served
 
 if TYPE_CHECKING:
@@ -137,14 +137,14 @@ def _answering(answer: Callable[[Request], Awaitable[Any]]) -> Callable[[Request
     return respond
 
 
-async def _decide(served: Served, request: Request) -> Decided:
+async def _decide(served: Served, request: Request) -> DecisionAnswer:
     trajectories, check = served.answering.trajectories, partial(_check_is_there, request)
     if _content_type(request) == FORM:
         async with cloud_in(request) as cloud:
             return await served.decide(lambda service: seen_in_cloud(service, cloud, served.law, trajectories), check)
     state = await _object(request)
 
-    def look(service: InService) -> Seen:
+    def look(service: InService) -> AskedState:
         if trajectories is None:
             return seen_in_state(service, state)
         return seen_in_state(service, state, trajectories.next_stage(), trajectories.last)
@@ -152,13 +152,13 @@ async def _decide(served: Served, request: Request) -> Decided:
     return await served.decide(look, check)
 
 
-async def _reward(served: Served, request: Request) -> models.Progress:
-    given = model_of(await _object(request), models.Reward)
+async def _reward(served: Served, request: Request) -> models.RecordingProgress:
+    given = model_of(await _object(request), models.StageReward)
     return await served.rewarded(given.reward, given.elapsed_s, given.held)
 
 
-async def _end(served: Served, request: Request) -> models.Ended:
-    given = model_of(await _object(request), models.End)
+async def _end(served: Served, request: Request) -> models.EndAnswer:
+    given = model_of(await _object(request), models.TrajectoryEnd)
     return await served.ended(given.cause, given.elapsed_s)
 
 

@@ -20,7 +20,7 @@ from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.logs import Logs, read_logs
 from halfseen.logs.columns import ARM, FINISHED, RULE
 from halfseen.logs.recorded import STILL_RUNNING, followed
-from halfseen.monitoring.comparison import Courses, Kept, counted
+from halfseen.monitoring.comparison import ComparisonCache, Courses, counted
 from halfseen.monitoring.dealing import POLICY, Standing, Terms, standing
 from halfseen.policies.rule_files import FallBack, fall_back_of
 from halfseen.reading import read_bytes, reason_of
@@ -66,7 +66,7 @@ class Deal:
 
 
 @dataclass(eq=False)
-class Comparison:
+class LiveComparison:
     """Deals the trajectories of a cell, and tracks the state of the comparison.
 
     Parameters
@@ -99,7 +99,7 @@ class Comparison:
         self.name = name_of(self.service, self.file)
         self.deal: Deal | None = None
         self.courses = self._recorded()
-        self.kept = Kept()
+        self.kept = ComparisonCache()
         self.counted = counted(self.courses, kept=self.kept)
         self.standing: Standing = standing(self.courses, self.terms, self.counted, self.kept)
 
@@ -144,7 +144,7 @@ class Comparison:
         if self.standing.verdict != before:
             self.say(f"the policy is {self.standing}")
 
-    def of(self, service: "InService", *, is_in_progress: bool) -> "Comparison":
+    def of(self, service: "InService", *, is_in_progress: bool) -> "LiveComparison":
         """Comparison of another policy or rule in this log; a trajectory in progress goes on, and does not count."""
         if name_of(service, self.file) == self.name:
             return self

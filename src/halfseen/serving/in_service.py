@@ -121,7 +121,7 @@ class SteppedBack:
 
 
 @dataclass
-class Tally:
+class ServiceCounts:
     """Counts since the server started."""
 
     decisions: int = 0

@@ -25,7 +25,7 @@ from starlette.requests import Request
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from halfseen.errors import ArgumentError
-from halfseen.serving.models import Cloud, Refusal, model_of
+from halfseen.serving.models import CloudRequest, Refusal, model_of
 
 Message = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[Message]]
@@ -140,15 +140,15 @@ def _given_once(body: bytes, receive: Receive) -> Receive:
 
 
 @asynccontextmanager
-async def cloud_in(request: Request) -> AsyncIterator[Cloud]:
+async def cloud_in(request: Request) -> AsyncIterator[CloudRequest]:
     """Store the files of a form temporarily.
 
     Raises
     ------
     Refusal
-        The request is not a form, or does not fit `Cloud`.
+        The request is not a form, or does not fit `CloudRequest`.
     """
-    names = Cloud.__struct_fields__
+    names = CloudRequest.__struct_fields__
     async with contextlib.AsyncExitStack() as kept:
         try:
             form = await kept.enter_async_context(request.form(max_files=2, max_fields=1, max_part_size=1 << 10))
@@ -157,7 +157,7 @@ async def cloud_in(request: Request) -> AsyncIterator[Cloud]:
             raise Refusal(400, trouble) from error
         folder = Path(kept.enter_context(TemporaryDirectory()))
         given = {name: await _kept(name, form[name], folder) for name in names if name in form}
-        found = model_of(given, Cloud, is_text=True)
+        found = model_of(given, CloudRequest, is_text=True)
         parts = [name for name, _ in form.multi_items()]
         for name in parts:
             if name not in names or parts.count(name) > 1:

@@ -47,7 +47,7 @@ class State(Struct):
     stage: Stage | UnsetType = UNSET
 
 
-class Table(Struct):
+class TableRequest(Struct):
     """Objects of a table."""
 
     objects: Annotated[
@@ -59,7 +59,7 @@ class Table(Struct):
     stage: Stage | UnsetType = UNSET
 
 
-class Cloud(Struct):
+class CloudRequest(Struct):
     """A look at a table."""
 
     cloud: Annotated[File, _is("A file of what the camera sees: .pcd, .ply or .npz.")]
@@ -67,7 +67,7 @@ class Cloud(Struct):
     stage: Stage | UnsetType = UNSET
 
 
-class Reward(Struct, forbid_unknown_fields=True):
+class StageReward(Struct, forbid_unknown_fields=True):
     """What a stage brought."""
 
     reward: Annotated[float, _is("A number, in the unit of the log.")]
@@ -75,7 +75,7 @@ class Reward(Struct, forbid_unknown_fields=True):
     held: Annotated[bool | None, Held] = None
 
 
-class End(Struct, forbid_unknown_fields=True):
+class TrajectoryEnd(Struct, forbid_unknown_fields=True):
     """How a trajectory ended."""
 
     ending: Annotated[Literal["finished", "cut"], _is('The word "finished", or "cut" if it did not end by itself.')]
@@ -87,7 +87,7 @@ class End(Struct, forbid_unknown_fields=True):
             raise ValueError('give {"ending": "finished"}, or {"ending": "cut", "cause": "operator"}, or what cut it')
 
 
-class Decided(Struct, frozen=True, kw_only=True):
+class DecisionAnswer(Struct, frozen=True, kw_only=True):
     """What is done, and why."""
 
     action: Action
@@ -113,7 +113,7 @@ class Decided(Struct, frozen=True, kw_only=True):
     arm: Arm | UnsetType = UNSET
 
 
-class Progress(Struct, frozen=True):
+class RecordingProgress(Struct, frozen=True):
     """Where recording stands; where it waits for a reward, for what: the answer may have been lost."""
 
     trajectory: Annotated[int | str | None, _is("Trajectory in progress; null if none.")]
@@ -123,7 +123,7 @@ class Progress(Struct, frozen=True):
     object: Target | UnsetType = UNSET
 
 
-class Ended(Struct, frozen=True):
+class EndAnswer(Struct, frozen=True):
     """A trajectory that is over."""
 
     trajectory: Trajectory
@@ -161,7 +161,7 @@ class Compared(Struct, frozen=True, kw_only=True):
     more: Annotated[int | None, _is("About how many more trajectories would decide; null if unknown.")]
 
 
-class Recorded(Struct, frozen=True, kw_only=True):
+class LoggedTrajectory(Struct, frozen=True, kw_only=True):
     """A trajectory of the log."""
 
     trajectory: Trajectory
@@ -179,12 +179,14 @@ class Cell(Struct, frozen=True, kw_only=True):
     sentence: Annotated[str, _is("The main facts in words.")]
     revision: Annotated[str, _is("Changes whenever anything except an age changes.")]
     policy: Digest
-    decision: Annotated[Decided | None, _is("The last one; null before the first.")]
+    decision: Annotated[DecisionAnswer | None, _is("The last one; null before the first.")]
     seen: Annotated[dict[str, Any], _is("Covariates of the decision.")]
     rule: StepBacks
-    recording: Progress | UnsetType = UNSET
+    recording: RecordingProgress | UnsetType = UNSET
     comparison: Compared | UnsetType = UNSET
-    trajectories: Annotated[list[Recorded], _is("The last ones that ended since the server began, the newest first.")]
+    trajectories: Annotated[
+        list[LoggedTrajectory], _is("The last ones that ended since the server began, the newest first.")
+    ]
     monitor: Annotated[
         dict[str, Any] | None,
         _is("Last result of halfseen monitor, age_s ago [s]; null before the first."),
@@ -215,7 +217,7 @@ class Health(Struct, frozen=True):
     policy: Digest
     kind: Annotated[str, _is("Of the policy.")]
     rule: StepBacks
-    recording: Progress | UnsetType = UNSET
+    recording: RecordingProgress | UnsetType = UNSET
     comparison: Compared | UnsetType = UNSET
     wire: Wired | UnsetType = UNSET
 

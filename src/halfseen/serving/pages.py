@@ -19,7 +19,7 @@ from halfseen.logs.missing import Filling
 from halfseen.policies.ranges import middle_of
 from halfseen.serving import models
 from halfseen.serving.in_service import InService
-from halfseen.serving.models import Cell, Decided, Progress, Schema
+from halfseen.serving.models import Cell, DecisionAnswer, RecordingProgress, Schema
 from halfseen.serving.served import Answering
 from halfseen.serving.watching import FIGURES
 from halfseen.view.templates import rendered, template, text_of
@@ -42,11 +42,17 @@ def described(service: InService, *, is_recording: bool, is_comparing: bool = Fa
         Whether trajectories are dealt to the policy or to a rule.
     """
     stored = service.stored
-    looks = {JSON: models.Table, FORM: models.Cloud} if stored.is_table else {JSON: models.State}
+    looks = {JSON: models.TableRequest, FORM: models.CloudRequest} if stored.is_table else {JSON: models.State}
     asked = [
-        ("/decide", "post", "Decide what to do now, and say why.", models.Decided, looks),
-        ("/reward", "post", "Complete the stage in progress.", models.Progress, {JSON: models.Reward}),
-        ("/end", "post", "End the trajectory in progress; a cut one has a cause.", models.Ended, {JSON: models.End}),
+        ("/decide", "post", "Decide what to do now, and say why.", models.DecisionAnswer, looks),
+        ("/reward", "post", "Complete the stage in progress.", models.RecordingProgress, {JSON: models.StageReward}),
+        (
+            "/end",
+            "post",
+            "End the trajectory in progress; a cut one has a cause.",
+            models.EndAnswer,
+            {JSON: models.TrajectoryEnd},
+        ),
         ("/reload", "post", "Read the policy's folder again.", models.Reloaded, {}),
         ("/health", "get", "Report that it runs, and its state.", models.Health, {}),
         ("/state", "get", "Return everything the page of the running cell shows.", models.Cell, {}),
@@ -59,7 +65,7 @@ def described(service: InService, *, is_recording: bool, is_comparing: bool = Fa
     _, schemas = msgspec.json.schema_components(used, ref_template=_REFERENCE + "{name}")
     if not stored.is_table:
         schemas["State"] |= _covariates(service, schemas["State"])
-        schemas["Decided"]["properties"]["action"]["enum"] = list(stored.policy.actions)
+        schemas["DecisionAnswer"]["properties"]["action"]["enum"] = list(stored.policy.actions)
     return {
         "openapi": "3.1.0",
         "info": {"title": f"halfseen policy {service.digest}", "version": halfseen.__version__},
@@ -172,7 +178,7 @@ def cell_of(service: InService, answering: Answering) -> Cell:
     return msgspec.structs.replace(cell, revision=revision, monitor=aged)
 
 
-def _sentence(decision: Decided | None, recording: Progress | Any, monitor: dict[str, Any]) -> str:
+def _sentence(decision: DecisionAnswer | None, recording: RecordingProgress | Any, monitor: dict[str, Any]) -> str:
     if monitor.get("is_alarm"):
         return monitor["sentence"]
     if decision is None:
@@ -187,7 +193,7 @@ def _sentence(decision: Decided | None, recording: Progress | Any, monitor: dict
     return f"Trajectory {recording.trajectory}, {stage}: {decision.action}, {_who(decision)}."
 
 
-def _who(decision: Decided) -> str:
+def _who(decision: DecisionAnswer) -> str:
     """Who decided."""
     if decision.arm == "rule":
         return "by the rule in use, to which this trajectory was assigned"

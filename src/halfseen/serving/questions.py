@@ -23,7 +23,7 @@ from halfseen.policies.named_decider import (
     known_covariates,
 )
 from halfseen.serving.in_service import InService
-from halfseen.serving.models import BODY, Cloud, Refusal, Table, model_of
+from halfseen.serving.models import BODY, CloudRequest, Refusal, TableRequest, model_of
 from halfseen.serving.recording import Begun, RecordedTrajectories
 from halfseen.tables.present import Present
 from halfseen.world.log_checks import DISHWASHER, OPTIONAL_COLUMNS, PLACE_COLUMNS, TABLE
@@ -41,7 +41,7 @@ _NOTHING_DONE = {"robot": None, "action": None, "object": None, "probability": N
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class AskedState:
     """A state to decide on.
 
     Parameters
@@ -70,7 +70,7 @@ def seen_in_state(
     state: Mapping[str, Any],
     next_stage: int | None = None,
     last: Mapping[str, Any] | None = None,
-) -> Seen:
+) -> AskedState:
     """Interpret a state from JSON.
 
     Parameters
@@ -78,7 +78,7 @@ def seen_in_state(
     service
         The policy.
     state
-        Covariates by name, or the fields of `Table`; and the stage, if it is not the first.
+        Covariates by name, or the fields of `TableRequest`; and the stage, if it is not the first.
     next_stage
         Next stage to record; None if nothing is recorded.
     last
@@ -95,10 +95,10 @@ def seen_in_state(
     _check_next(stage, next_stage)
     covariates = {name: value for name, value in state.items() if name != "stage"}
     if service.stored.is_table:
-        objects = model_of(state, Table).objects
+        objects = model_of(state, TableRequest).objects
         del covariates["objects"]
         present, names = present_of(service.stored, objects, stage)
-        return Seen(lambda: service.decider.decide(present), stage, Begun(covariates, objects), names)
+        return AskedState(lambda: service.decider.decide(present), stage, Begun(covariates, objects), names)
     decider = service.decider
     assert isinstance(decider, NamedDecider), "what is not of tables is of named actions"
     policy = decider.policy
@@ -109,8 +109,8 @@ def seen_in_state(
     # A category may come as a number, and is text in the log.
     begun = Begun({**full, **{name: at for name, at in known.items() if isinstance(at, str) and name not in new}})
     if new:
-        return Seen(partial(_refuse_new, new, policy.categories), stage, begun)
-    return Seen(lambda: decider.decide_known(known, stage, filled), stage, begun)
+        return AskedState(partial(_refuse_new, new, policy.categories), stage, begun)
+    return AskedState(lambda: decider.decide_known(known, stage, filled), stage, begun)
 
 
 def _refuse_new(new: Mapping[str, str], categories: Categories) -> Decision:
@@ -126,8 +126,8 @@ def _check_next(stage: int | None, next_stage: int | None) -> None:
 
 
 def seen_in_cloud(
-    service: InService, given: Cloud, law: "SeenLaw | None", trajectories: RecordedTrajectories | None = None
-) -> Seen:
+    service: InService, given: CloudRequest, law: "SeenLaw | None", trajectories: RecordedTrajectories | None = None
+) -> AskedState:
     """Interpret a cloud of a table, given only this view and the recorded trajectory.
 
     Parameters
@@ -163,7 +163,7 @@ def seen_in_cloud(
     except HalfseenError as error:
         raise type(error)(str(error).replace(f"{given.cloud.parent}/", "")) from error
     present, said = table.present, table.present.seen.replace(f"{given.cloud.parent}/", "")
-    seen = Seen(lambda: service.decider.decide(present), present.stage, said=said)
+    seen = AskedState(lambda: service.decider.decide(present), present.stage, said=said)
     if trajectories is None:
         return seen
     before = () if so_far is None else so_far.objects

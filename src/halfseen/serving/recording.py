@@ -22,7 +22,7 @@ from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.recorder import LogRecorder, TrajectoryRecorder
 from halfseen.policies.decision import Decision
-from halfseen.serving.models import Decided, Ended, Progress, Refusal
+from halfseen.serving.models import DecisionAnswer, EndAnswer, RecordingProgress, Refusal
 
 STOPPED = "server stopped"
 """Cause of the cut of a trajectory in progress when the server stopped."""
@@ -164,13 +164,13 @@ class RecordedTrajectories:
         return () if last is None else last.events
 
     @property
-    def facts(self) -> Progress:
+    def facts(self) -> RecordingProgress:
         """Current state, for a client that has lost track."""
         name, waits = self._trajectory and self._trajectory.name, self._unrewarded
         action = () if waits is None else waits
-        return Progress(name, self._num_begun, "reward" if action else "decision", *action)
+        return RecordingProgress(name, self._num_begun, "reward" if action else "decision", *action)
 
-    def decided(self, begun: Begun, reply: Decided) -> int | str:
+    def decided(self, begun: Begun, reply: DecisionAnswer) -> int | str:
         """Begin a stage with a state and its decision, and return the name of the trajectory.
 
         Parameters
@@ -216,7 +216,7 @@ class RecordedTrajectories:
         checked_tables(logs, is_team=False)
         self._checked = logs
 
-    def rewarded(self, reward: float, elapsed_s: float | None = None, held: bool | None = None) -> Progress:
+    def rewarded(self, reward: float, elapsed_s: float | None = None, held: bool | None = None) -> RecordingProgress:
         """Complete the stage in progress.
 
         Parameters
@@ -241,7 +241,7 @@ class RecordedTrajectories:
         self._unrewarded, self._held = None, held
         return self.facts
 
-    def ended(self, cause: str | None, elapsed_s: float | None = None) -> Ended:
+    def ended(self, cause: str | None, elapsed_s: float | None = None) -> EndAnswer:
         """End the trajectory in progress.
 
         Parameters
@@ -263,7 +263,7 @@ class RecordedTrajectories:
             self._trajectory.finish(elapsed_s=elapsed_s)
         else:
             self._trajectory.cut(cause, elapsed_s=elapsed_s)
-        ended = Ended(self._trajectory.name, self._num_begun, "finished" if cause is None else "cut")
+        ended = EndAnswer(self._trajectory.name, self._num_begun, "finished" if cause is None else "cut")
         self._trajectory, self._checked, self._num_begun, self._unrewarded = None, None, 0, None
         return ended
 

@@ -19,10 +19,10 @@ from halfseen.logs.columns import RULE
 from halfseen.monitoring.dealing import POLICY
 from halfseen.policies.decision import Decision
 from halfseen.policies.rule_files import ExplorationTable
-from halfseen.serving.comparing import Comparison
-from halfseen.serving.in_service import InService, SteppedBack, Tally, asked, taken_into_service
-from halfseen.serving.models import Decided, Ended, Health, Progress, Refusal
-from halfseen.serving.questions import Seen
+from halfseen.serving.comparing import LiveComparison
+from halfseen.serving.in_service import InService, ServiceCounts, SteppedBack, asked, taken_into_service
+from halfseen.serving.models import DecisionAnswer, EndAnswer, Health, RecordingProgress, Refusal
+from halfseen.serving.questions import AskedState
 from halfseen.serving.recording import RecordedTrajectories, Taken, chance_of, taken, uniform_shares
 from halfseen.serving.watching import Recent
 
@@ -61,11 +61,11 @@ class Answering:
     table: ExplorationTable | None = None
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
     trajectories: RecordedTrajectories | None = None
-    tally: Tally = field(default_factory=Tally)
-    comparison: Comparison | None = None
+    tally: ServiceCounts = field(default_factory=ServiceCounts)
+    comparison: LiveComparison | None = None
     recent: Recent = field(default_factory=Recent)
 
-    def answer(self, service: InService, seen: Seen, decided: Decision | SteppedBack) -> Decided:
+    def answer(self, service: InService, seen: AskedState, decided: Decision | SteppedBack) -> DecisionAnswer:
         """Build the answer from the decision of the policy, or of the rule in its place.
 
         Raises
@@ -82,7 +82,7 @@ class Answering:
         self.tally.add(back)
         verb, _, number = str(made.decision.action).partition(" ")
         acted = {"verb": verb, "object": seen.names[int(number)] if number else None} if seen.names else {}
-        return Decided(
+        return DecisionAnswer(
             **{**vars(made.decision), "warnings": [*made.decision.warnings, *service.stored.doubts]},
             probability=made.probability,
             is_explored=made.is_explored,
@@ -96,7 +96,7 @@ class Answering:
         )
 
     def _dealt(
-        self, comparison: Comparison, seen: Seen, decided: Decision | SteppedBack, made: Taken
+        self, comparison: LiveComparison, seen: AskedState, decided: Decision | SteppedBack, made: Taken
     ) -> tuple[Taken, str]:
         """Action of the trajectory's arm, with its probability under the mixture of both arms."""
         deal, (action, name) = comparison.dealt(), comparison.rule.action(seen.begun.covariates, seen.stage)
@@ -109,12 +109,12 @@ class Answering:
         decision = Decision(action, {}, f"{action}: {name}, to which this trajectory was assigned.")
         return Taken(decision, deal.probability(by_policy, 1.0), False), RULE
 
-    def _shares(self, seen: Seen, decided: Decision) -> dict[str, float]:
+    def _shares(self, seen: AskedState, decided: Decision) -> dict[str, float]:
         if self.table is not None:
             return self.table.shares(seen.begun.covariates, seen.stage)
         return uniform_shares(decided, self.epsilon)
 
-    def _taken(self, service: InService, seen: Seen, decided: Decision | SteppedBack) -> Taken:
+    def _taken(self, service: InService, seen: AskedState, decided: Decision | SteppedBack) -> Taken:
         if isinstance(decided, Decision):
             return taken(decided, self._shares(seen, decided), self.rng)
         if service.fall_back is None:
@@ -123,7 +123,7 @@ class Answering:
         reason = f"{action}: {name}, in the policy's place: {decided.detail}."
         return Taken(Decision(action, {}, reason), 1.0, False)
 
-    def recorded(self, seen: Seen, reply: Decided) -> Decided:
+    def recorded(self, seen: AskedState, reply: DecisionAnswer) -> DecisionAnswer:
         """Record a decision, if recording is on, and add the trajectory to the answer.
 
         Raises
@@ -212,7 +212,7 @@ class Served:
             self.service = fresh
         return fresh
 
-    async def decide(self, look: Callable[[InService], Seen], check: Check = _anybody) -> Decided:
+    async def decide(self, look: Callable[[InService], AskedState], check: Check = _anybody) -> DecisionAnswer:
         """Look, decide and record, one request at a time; slow work runs in threads, so that the loop stays free.
 
         Parameters
@@ -239,7 +239,7 @@ class Served:
             await check()
             return await to_thread.run_sync(self.answering.recorded, seen, given)
 
-    async def _decided(self, service: InService, seen: Seen) -> Decision | SteppedBack:
+    async def _decided(self, service: InService, seen: AskedState) -> Decision | SteppedBack:
         """Ask the policy; an answer after the time limit is dropped."""
         ask = partial(asked, seen.decide, seen.stage, service.stored.horizon)
         if self.limit_s is None:
@@ -248,12 +248,14 @@ class Served:
             return await to_thread.run_sync(ask, abandon_on_cancel=True)
         return SteppedBack("late", f"the policy did not answer within {self.limit_s:g} s")
 
-    async def rewarded(self, reward: float, elapsed_s: float | None = None, held: bool | None = None) -> Progress:
+    async def rewarded(
+        self, reward: float, elapsed_s: float | None = None, held: bool | None = None
+    ) -> RecordingProgress:
         """Complete the stage in progress; parameters and errors as in `RecordedTrajectories.rewarded`."""
         async with self.lock:
             return self.recording.rewarded(reward, elapsed_s, held)
 
-    async def ended(self, cause: str | None, elapsed_s: float | None = None) -> Ended:
+    async def ended(self, cause: str | None, elapsed_s: float | None = None) -> EndAnswer:
         """End the trajectory in progress, as `RecordedTrajectories.ended` does, and count it in a comparison."""
         async with self.lock:
             recording, comparison = self.recording, self.answering.comparison

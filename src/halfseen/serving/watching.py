@@ -24,7 +24,7 @@ from msgspec import UNSET
 from halfseen.errors import HalfseenError
 from halfseen.logs.columns import ARM, STEPPED_BACK
 from halfseen.logs.recorded import followed
-from halfseen.serving.models import Decided, Recorded
+from halfseen.serving.models import DecisionAnswer, LoggedTrajectory
 
 EVERY_S = 30.0
 MOST_WORK = 0.1
@@ -189,11 +189,11 @@ class Recent:
     """
 
     watch: Watch | None = None
-    decision: Decided | None = None
+    decision: DecisionAnswer | None = None
     seen: Mapping[str, Any] = field(default_factory=dict)
-    trajectories: deque[Recorded] = field(default_factory=partial(deque, maxlen=MOST_TRAJECTORIES))
+    trajectories: deque[LoggedTrajectory] = field(default_factory=partial(deque, maxlen=MOST_TRAJECTORIES))
 
-    def decided(self, seen: Mapping[str, Any], decision: Decided) -> None:
+    def decided(self, seen: Mapping[str, Any], decision: DecisionAnswer) -> None:
         """Keep a decision and its covariates."""
         self.seen, self.decision = seen, decision
 
@@ -201,7 +201,7 @@ class Recent:
         """Keep a trajectory that has ended, and look at the log again."""
         rows = followed(events).rows
         (trajectory,), stages = rows["trajectories"], rows["stages"]
-        recorded = Recorded(
+        recorded = LoggedTrajectory(
             trajectory=trajectory["trajectory"],
             arm=trajectory.get(ARM, UNSET),
             stages=len(stages),

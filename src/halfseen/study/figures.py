@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from halfseen import figures as pages
 from halfseen.figures import MARKERS, EndLabel, draw_bars, learned_shades, write_title
 from halfseen.study.compare import where
-from halfseen.study.policies import LEARNED, Contender, Kind
+from halfseen.study.policies import LEARNED, Entrant, StudyKind
 from halfseen.wording import amount, share
 
 INTERVAL = ["mean_reward", "low", "high"]  # columns of a mean reward and its interval
@@ -79,9 +79,9 @@ def write_names(figure: Figure, top: float, names: Mapping[str, str], *of: Axes,
     pages.write_legend(figure, {name: known[name] for name in names.values() if name in known}, top, **options)
 
 
-def draw_level(axes: Axes, who: Contender, value: float, is_bold: bool, more: str = "") -> EndLabel:
+def draw_level(axes: Axes, who: Entrant, value: float, is_bold: bool, more: str = "") -> EndLabel:
     """Draw the value of a policy as a level line; the optimum has a name only, as it is an end of the axis."""
-    if who.kind != Kind.OPTIMUM:
+    if who.kind != StudyKind.OPTIMUM:
         dashes, width = (0, who.dashes), 1.5 if is_bold else 0.9
         axes.axhline(value, color=who.colour, linestyle=dashes, linewidth=width, zorder=1.2)
     return EndLabel(value, f"{who.label}  {amount(value)}{more}", who.colour, is_bold)

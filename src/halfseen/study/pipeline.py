@@ -44,7 +44,7 @@ from halfseen.learning.task import AUTO, Encoded
 from halfseen.logs import Logs
 from halfseen.planners.control import controlled_each, start_values
 from halfseen.shapes import Float
-from halfseen.study.policies import Contender, decision_times_ms, logging_policy, timed_policy
+from halfseen.study.policies import Entrant, decision_times_ms, logging_policy, timed_policy
 from halfseen.study.setting import Setting
 from halfseen.tables.assisted import RulePolicy
 from halfseen.tables.encoding import encoded_states, layouts_of
@@ -148,7 +148,7 @@ class Source:
         each = evaluate_each(self.world, self.layouts, policies, self.key(purpose), num_episodes)
         return [Played(*(np.asarray(of, dtype=np.float64) for of in (one.reward, one.robot_s))) for one in each]
 
-    def decision_times_ms(self, contenders: Iterable[Contender], num_states: int, laws: bool) -> dict[str, float]:
+    def decision_times_ms(self, contenders: Iterable[Entrant], num_states: int, laws: bool) -> dict[str, float]:
         """Median decision times [ms], on one state of each of many trajectories, alternately early and late ones.
 
         `laws` are those of the learned policy.

@@ -30,7 +30,7 @@ MOST_TIMED_S = 0.25  # limit for timing one policy, except for its last decision
 FEWEST_TIMED = 3
 
 
-class Kind(StrEnum):
+class StudyKind(StrEnum):
     """The kind of a policy."""
 
     LEARNED = "learned"
@@ -42,18 +42,18 @@ class Kind(StrEnum):
 
 
 COLOURS = {
-    Kind.LEARNED: OURS,
-    Kind.HEURISTIC: SOFT,
-    Kind.PLANNER: PLANNER,
-    Kind.PEER: PEER,
-    Kind.LINEAR: ORANGE,
-    Kind.OPTIMUM: INK,
+    StudyKind.LEARNED: OURS,
+    StudyKind.HEURISTIC: SOFT,
+    StudyKind.PLANNER: PLANNER,
+    StudyKind.PEER: PEER,
+    StudyKind.LINEAR: ORANGE,
+    StudyKind.OPTIMUM: INK,
 }
-DASHES = {Kind.PLANNER: (5.0, 1.5, 1.0, 1.5)}  # lines of planners; others have even dashes
+DASHES = {StudyKind.PLANNER: (5.0, 1.5, 1.0, 1.5)}  # lines of planners; others have even dashes
 
 
 @dataclass(frozen=True)
-class Contender:
+class Entrant:
     """A policy that takes part, with its name in tables and its label in text.
 
     `make` makes it for a world; None if it is learned or known only by its value.
@@ -61,7 +61,7 @@ class Contender:
 
     name: str
     label: str
-    kind: Kind
+    kind: StudyKind
     make: Callable[[WorldConfig], Policy] | None = None
 
     @property
@@ -80,22 +80,22 @@ class Contender:
         return self.make(world)
 
 
-def by_name(*contenders: Contender) -> dict[str, Contender]:
+def by_name(*contenders: Entrant) -> dict[str, Entrant]:
     """Contenders by their names."""
     return {each.name: each for each in contenders}
 
 
-def _heuristic(name: str, label: str) -> Contender:
-    return Contender(name, label, Kind.HEURISTIC, partial(named_policy, name))
+def _heuristic(name: str, label: str) -> Entrant:
+    return Entrant(name, label, StudyKind.HEURISTIC, partial(named_policy, name))
 
 
-LEARNED = Contender("censored_q", "learned policy", Kind.LEARNED)
-LINEAR = Contender("linear_q", "eq. 3, linear, no laws", Kind.LINEAR)
-ONE_STEP = Contender("one-step", "Q₁, one step ahead", Kind.PLANNER, partial(POMDPPolicy, planning_horizon=1))
-FITTED_ONE_STEP = Contender("fitted-one-step", "Q₁, laws fitted", Kind.PEER, ONE_STEP.make)
-FITTED_RULE = Contender("fitted-rule", "best heuristic, laws fitted", Kind.HEURISTIC)
+LEARNED = Entrant("censored_q", "learned policy", StudyKind.LEARNED)
+LINEAR = Entrant("linear_q", "eq. 3, linear, no laws", StudyKind.LINEAR)
+ONE_STEP = Entrant("one-step", "Q₁, one step ahead", StudyKind.PLANNER, partial(POMDPPolicy, planning_horizon=1))
+FITTED_ONE_STEP = Entrant("fitted-one-step", "Q₁, laws fitted", StudyKind.PEER, ONE_STEP.make)
+FITTED_RULE = Entrant("fitted-rule", "best heuristic, laws fitted", StudyKind.HEURISTIC)
 """The strongest heuristic of a study, with laws fitted to the logs that a policy is learned from."""
-OPTIMUM = Contender("optimum", "optimum", Kind.OPTIMUM)
+OPTIMUM = Entrant("optimum", "optimum", StudyKind.OPTIMUM)
 HEURISTICS = (
     _heuristic("greedy", "greedy"),
     _heuristic("history", "greedy with history"),
@@ -105,28 +105,28 @@ HEURISTICS = (
 STRONGEST_RULE = by_name(*HEURISTICS)["history-penalty"]  # followed by the logging policy
 
 
-def planner(num_simulations: int) -> Contender:
+def planner(num_simulations: int) -> Entrant:
     """A planner that looks to the end of a trajectory, with `num_simulations` per decision."""
 
     def make(world: WorldConfig) -> POMDPPolicy:
         return POMDPPolicy(world, planning_horizon=world.horizon, num_simulations=num_simulations)
 
-    return Contender(
-        f"planner-{num_simulations}", f"POMDP planner, {num_simulations:,} simulations", Kind.PLANNER, make
+    return Entrant(
+        f"planner-{num_simulations}", f"POMDP planner, {num_simulations:,} simulations", StudyKind.PLANNER, make
     )
 
 
-def fitted_planner(num_simulations: int) -> Contender:
+def fitted_planner(num_simulations: int) -> Entrant:
     """The same planner for a world whose laws were fitted to the logs that a policy is learned from."""
     name = f"fitted-planner-{num_simulations}"
-    return Contender(name, "planner, laws fitted", Kind.PEER, planner(num_simulations).make)
+    return Entrant(name, "planner, laws fitted", StudyKind.PEER, planner(num_simulations).make)
 
 
-def horizon_planner(horizon: int, num_simulations: int) -> Contender:
+def horizon_planner(horizon: int, num_simulations: int) -> Entrant:
     """A planner that looks `horizon` steps ahead."""
     label = f"POMDP planner, {horizon} {'step' if horizon == 1 else 'steps'} ahead"
     make = partial(POMDPPolicy, planning_horizon=horizon, num_simulations=num_simulations)
-    return Contender(f"planner-{horizon}-ahead", label, Kind.PLANNER, make)
+    return Entrant(f"planner-{horizon}-ahead", label, StudyKind.PLANNER, make)
 
 
 def logging_policy(world: WorldConfig) -> ExploringPolicy:
@@ -134,14 +134,14 @@ def logging_policy(world: WorldConfig) -> ExploringPolicy:
     return ExploringPolicy(STRONGEST_RULE.policy(world), LOG_RANDOM_SHARE)
 
 
-def timed_policy(who: Contender, world: WorldConfig, laws: bool) -> Policy:
+def timed_policy(who: Entrant, world: WorldConfig, laws: bool) -> Policy:
     """A policy with the decision time of a contender, which does not depend on the log or the laws.
 
     `laws` are those of the learned policy.
     """
-    if who.kind == Kind.LEARNED and laws:
+    if who.kind == StudyKind.LEARNED and laws:
         return AssistedPolicy(world, None, Excess.none(world.horizon))
-    if who.kind in (Kind.LEARNED, Kind.LINEAR):
+    if who.kind in (StudyKind.LEARNED, StudyKind.LINEAR):
         return LinearTablePolicy(np.zeros((world.horizon, len(Verb), NUM_FEATURES + 1), dtype=np.float32))
     return STRONGEST_RULE.policy(world) if who == FITTED_RULE else who.policy(world)
 

@@ -132,7 +132,7 @@ def repetition(index: int) -> str:
     return f"repetition-{index:05d}"
 
 
-class Run(NamedTuple):
+class ExperimentRun(NamedTuple):
     """An experiment with its store and its number of repetitions."""
 
     experiment: Experiment
@@ -160,7 +160,7 @@ def run_all(
     """
     most = setting.repetitions
     nums = [min(most, each.most_repetitions or most) for each in experiments]
-    runs = [Run(*each) for each in zip(experiments, stores, nums, strict=True)]
+    runs = [ExperimentRun(*each) for each in zip(experiments, stores, nums, strict=True)]
     # Experiments with few repetitions, which are long, come first, so that all workers end together.
     in_order = sorted(runs, key=lambda run: run.num)
     with Progress(len(runs) * (1 + TABULATING), "study, prepare") as bar:

@@ -108,7 +108,7 @@ NO_NEWS = 1e-4
 """Smaller changes of log-odds are rounding errors."""
 
 
-class Watched(NamedTuple):
+class TimedAttempts(NamedTuple):
     """Attempts with the time that each was watched, n rows."""
 
     trajectory: RowIds
@@ -153,7 +153,7 @@ class Labels(NamedTuple):
 
 
 def of_first(rows: Any, num_trajectories: int) -> Any:
-    """Keep the rows of the first trajectories, of `Watched` or `Labels`."""
+    """Keep the rows of the first trajectories, of `TimedAttempts` or `Labels`."""
     kept = rows.trajectory < num_trajectories
     return type(rows)(*(values[kept] for values in rows))
 
@@ -161,7 +161,7 @@ def of_first(rows: Any, num_trajectories: int) -> Any:
 class Evidence(NamedTuple):
     """Evidence of a log on the laws."""
 
-    tried: Watched
+    tried: TimedAttempts
     labels: Labels
     dirty_share: float
     """P(DIRTY) of an object before any label, the prior of the log-odds."""
@@ -195,7 +195,7 @@ def evidence_of(logs: Logs, known: WorldConfig) -> Evidence:
     )
 
 
-def _watched(tried: pd.DataFrame, trajectory: RowIds, is_held: RowMask, known: WorldConfig) -> Watched:
+def _watched(tried: pd.DataFrame, trajectory: RowIds, is_held: RowMask, known: WorldConfig) -> TimedAttempts:
     """All attempts, cut ones included.
 
     An attempt precedes its transport. So one cut c seconds into its stage had not ended within c − transport_s seconds,
@@ -208,7 +208,9 @@ def _watched(tried: pd.DataFrame, trajectory: RowIds, is_held: RowMask, known: W
     speed = np.asarray(known.speed, dtype=np.float64)[tried["robot"]] if "robot" in tried.columns else 1.0
     until_s = np.clip(time_s * speed - float(known.transport_s), 0.0, limit_s)
     watched_s = np.where(is_missed & (until_s >= AT_LIMIT * limit_s), limit_s, until_s)
-    return Watched(trajectory, tried["object"].to_numpy(dtype=np.int64), occlusion, grip, watched_s, is_held, is_missed)
+    return TimedAttempts(
+        trajectory, tried["object"].to_numpy(dtype=np.int64), occlusion, grip, watched_s, is_held, is_missed
+    )
 
 
 def _labels(logs: Logs, known: WorldConfig, dirty_share: float, held_trajectory: RowIds, held_row: RowIds) -> Labels:

@@ -31,14 +31,14 @@ import numpy as np
 from halfseen.arrays import mapped
 from halfseen.planners.futures import future_rewards
 from halfseen.planners.myopic import MyopicPolicy
-from halfseen.planners.one_step import Table, table_of
+from halfseen.planners.one_step import Beliefs, table_of
 from halfseen.planners.rollout import picked, successor
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.assisted import Excess, TeamExcess
 from halfseen.tables.look_ahead import Ahead, ahead_of, team_described
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
-from halfseen.world.policy import Decision, surely
+from halfseen.world.policy import PolicyDraw, surely
 from halfseen.world.random import Key
 from halfseen.world.rollout import play
 from halfseen.world.state import Layout, TableState
@@ -71,7 +71,7 @@ def _ridge(
     return np.linalg.solve(gram, unit.T @ target / len(unit)) / scale
 
 
-class Tried(NamedTuple):
+class TriedActions(NamedTuple):
     """Actions tried with h steps to go, and the best action after each; R rows."""
 
     verb: Int[np.ndarray, " R"]
@@ -97,11 +97,11 @@ def fitted_excess(config: WorldConfig, layouts: Layout, seed: int, num_trajector
     for to_go in range(2, config.horizon + 1):
         some = [part[to_go] for part in parts if to_go in part]
         if some:
-            _fit_step(found, to_go, Tried(*map(np.concatenate, zip(*some, strict=True))))
+            _fit_step(found, to_go, TriedActions(*map(np.concatenate, zip(*some, strict=True))))
     return found
 
 
-def _fit_step(found: Excess, to_go: int, tried: Tried) -> None:
+def _fit_step(found: Excess, to_go: int, tried: TriedActions) -> None:
     """Fit E with h steps to go, given E with h − 1, in place."""
     coefficients, low, high = (each[to_go - 2] for each in (found.coefficients, found.low, found.high))
     target = tried.beyond.astype(np.float64)
@@ -127,7 +127,9 @@ def _regressed(features: Float[np.ndarray, "R F"], target: Float[np.ndarray, " R
     return np.append(target.mean() - slope @ mean, slope)
 
 
-def _simulated(config: WorldConfig, layouts: Layout, trajectory: Int[np.ndarray, " R"], seed: int) -> dict[int, Tried]:
+def _simulated(
+    config: WorldConfig, layouts: Layout, trajectory: Int[np.ndarray, " R"], seed: int
+) -> dict[int, TriedActions]:
     """Simulate trajectories, given by number: the tried actions by steps to go, while any trajectory is left."""
     rng, found = np.random.default_rng([seed, int(trajectory[0])]), {}
     layout = mapped(lambda leaf: leaf[trajectory % len(leaf)], layouts)
@@ -159,7 +161,7 @@ def _to_try(ahead: Ahead, rng: np.random.Generator) -> tuple[Int[np.ndarray, "M 
     return tried, np.take_along_axis(perturbed, tried, axis=0) > -np.inf
 
 
-def after_each(config: WorldConfig, ahead: Ahead, tried: Int[np.ndarray, "M R"], rng: np.random.Generator) -> Table:
+def after_each(config: WorldConfig, ahead: Ahead, tried: Int[np.ndarray, "M R"], rng: np.random.Generator) -> Beliefs:
     """Belief after each tried action."""
     lanes = np.tile(np.arange(tried.shape[1]), len(tried))
     table, look = picked((ahead.table, ahead.look), lanes)
@@ -167,7 +169,9 @@ def after_each(config: WorldConfig, ahead: Ahead, tried: Int[np.ndarray, "M R"],
     return successor(config, table, look, tried.ravel(), draws)
 
 
-def rows_of(ahead: Ahead, tried: Int[np.ndarray, "M R"], is_possible: Bool[np.ndarray, "M R"], after: Ahead) -> Tried:
+def rows_of(
+    ahead: Ahead, tried: Int[np.ndarray, "M R"], is_possible: Bool[np.ndarray, "M R"], after: Ahead
+) -> TriedActions:
     """Rows of the tried actions that are possible, from the belief after each."""
     reached = np.flatnonzero(is_possible)
     choice, lanes = tried.ravel()[reached], reached % tried.shape[1]
@@ -175,7 +179,7 @@ def rows_of(ahead: Ahead, tried: Int[np.ndarray, "M R"], is_possible: Bool[np.nd
     best = after.one_step[:, reached].argmax(axis=0)
     worth = after.one_step[best, reached]
     num_objects = len(ahead.table.is_there)
-    return Tried(
+    return TriedActions(
         verb=choice // num_objects,
         features=features_of(ahead, choice, lanes),
         beyond=control - one_step + np.where(worth > 0.0, worth, 0.0) - after.control[reached],
@@ -213,7 +217,7 @@ class _Deviating:
         self.num_robots = config.num_robots
         self._base = MyopicPolicy(config)
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         explore_key, try_key = random.split(key)
         q = self._base.q_values(state)
         _, order = drawn(q, try_key)

@@ -87,7 +87,7 @@ ROUNDING = 1e-6
 """float32 differences below this count as 0."""
 
 
-class Columns(NamedTuple):
+class FeatureColumns(NamedTuple):
     """Terms of the features, one number for each object."""
 
     is_there: Bool[Array, "*B N"]
@@ -110,7 +110,7 @@ def stacked_columns(values: Sequence[Float[Array, "*B N"]]) -> Float[Array, "*B 
     return library_of(*values).stack(values, axis=-2)
 
 
-def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns:
+def table_columns(state: TableState, grasp: GraspModel | None = None) -> FeatureColumns:
     """Compute the terms of the features of tables."""
     xp, is_dirty = library_of(state.log_odds), expit(state.log_odds)
     win, sure = _above(is_dirty, 0.5), _above(is_dirty, 0.75)
@@ -127,7 +127,7 @@ def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns
     washed = [laid_bare_win, laid_bare_doubt, is_dirty, is_dirty * ease, ease, *at_stake, soon, soon * ease]
     # Rounding errors are set to 0: a regression would scale them up where nothing else varies.
     gained = xp.where(clearer > ROUNDING, clearer, np.float32(0.0))
-    return Columns(
+    return FeatureColumns(
         is_there=state.is_on_table,
         table=[is_dirty, xp.ones_like(is_dirty), *at_stake, *in_doubt, soon],
         idle=xp.exp(-8.0 * best),

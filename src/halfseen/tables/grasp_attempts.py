@@ -163,7 +163,7 @@ def _refuse(rows: pd.DataFrame, wrong: Bool[np.ndarray, " rows"], trouble: str) 
     refuse(rows, wrong, lambda row: f"{action.iloc[row]} of object {shown(target.iloc[row])}: {trouble}")
 
 
-class Decided(NamedTuple):
+class DecidedAttempts(NamedTuple):
     """Decided attempts, weighted for the cut ones."""
 
     history: History
@@ -176,7 +176,7 @@ class Decided(NamedTuple):
     row: Int[np.ndarray, " n"]
     """Row in the given table."""
 
-    def among(self, kept: RowMask | Int[np.ndarray, " k"]) -> "Decided":
+    def among(self, kept: RowMask | Int[np.ndarray, " k"]) -> "DecidedAttempts":
         """Keep some attempts, by mask or by number; weights and diagnostics do not change."""
         history = History(*(values[kept] for values in self.history))
         each = {name: getattr(self, name)[kept] for name in ("succeeded", "weight", "group", "row")}
@@ -218,7 +218,7 @@ def checked_covariates(data: FrameLike, names: Sequence[str]) -> Float[np.ndarra
 
 def checked_attempts(
     data: FrameLike, censoring: str | CensoringModel = "kaplan-meier", truncate_at: float | int | None = None
-) -> Decided:
+) -> DecidedAttempts:
     """Read attempts and weight the decided ones.
 
     Columns are occlusion, successes, failures and succeeded; optionally time_s and is_finished, and object.
@@ -238,7 +238,9 @@ def checked_attempts(
     diagnostics = weight_diagnostics(weight, truncate_at)
     warn_if_few(diagnostics, stacklevel=4)
     group = pd.factorize(frame["object"])[0] if "object" in frame.columns else np.arange(len(frame))
-    all_of_them = Decided(history, succeeded, weight, group.astype(np.int64), diagnostics, np.arange(len(frame)))
+    all_of_them = DecidedAttempts(
+        history, succeeded, weight, group.astype(np.int64), diagnostics, np.arange(len(frame))
+    )
     return all_of_them.among(is_decided)
 
 
@@ -322,7 +324,7 @@ def can_hold_out(attempts: pd.DataFrame) -> bool:
     return all(decided.loc[rows, "object"].nunique() >= FEWEST_OBJECTS for rows in (succeeded, ~succeeded))
 
 
-def splits_of(decided: Decided, num_folds: int, random_state: int) -> list[tuple[np.ndarray, np.ndarray]]:
+def splits_of(decided: DecidedAttempts, num_folds: int, random_state: int) -> list[tuple[np.ndarray, np.ndarray]]:
     """Split attempts into folds, each as fitted and held-out attempts; attempts at one object stay together.
 
     There are at most `num_folds`, and no more than objects with failures or with successes. Objects are assigned to

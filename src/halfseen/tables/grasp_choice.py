@@ -26,7 +26,7 @@ from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float
 from halfseen.tables import grasp_table
 from halfseen.tables.features import succession
-from halfseen.tables.grasp_attempts import Decided, attempts, checked_attempts, checked_covariates, kinds
+from halfseen.tables.grasp_attempts import DecidedAttempts, attempts, checked_attempts, checked_covariates, kinds
 from halfseen.tables.grasp_models import Theta, fitted_thetas, predictive
 from halfseen.tables.grasp_table import SURE, GraspByRobot, GraspEstimator, GraspTable, GripEffect
 from halfseen.workers.threads import one_thread
@@ -122,7 +122,7 @@ def _is_clear(lead: Float[np.ndarray, " trajectories"]) -> bool:
 class _HeldOut(NamedTuple):
     """Decided attempts, whose trajectories are split into folds."""
 
-    decided: Decided
+    decided: DecidedAttempts
     trajectory: RowIds
     grip: Rows
 
@@ -202,7 +202,7 @@ def fit_grip_effect(model: GraspEstimator, tried: pd.DataFrame) -> GripEffect:
     return _fitted_effect(model.predict_proba(rows)[:, 1], decided, checked_covariates(rows, ["grip"])[:, 0])
 
 
-def _fitted_effect(said: Rows, decided: Decided, grip: Rows) -> GripEffect:
+def _fitted_effect(said: Rows, decided: DecidedAttempts, grip: Rows) -> GripEffect:
     """Fit the grip effect to a model's predictions of decided attempts without their grips."""
     from scipy.special import expit, logit
 

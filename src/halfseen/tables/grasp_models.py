@@ -27,7 +27,7 @@ from halfseen.learning.svm.estimators import CensoredSVC
 from halfseen.logs.frames import FrameLike
 from halfseen.shapes import Bool, Float
 from halfseen.tables.grasp_attempts import (
-    Decided,
+    DecidedAttempts,
     checked_attempts,
     checked_covariates,
     checked_history,
@@ -145,7 +145,7 @@ def predictive(theta: Theta, history: History) -> Rows:
     return (strength * mean + history.successes) / (strength + tries)
 
 
-def negative_log_posteriors(theta: Float[np.ndarray, "K 3"], decided: Decided, weight: Weights) -> Derivatives:
+def negative_log_posteriors(theta: Float[np.ndarray, "K 3"], decided: DecidedAttempts, weight: Weights) -> Derivatives:
     """Loss of `BetaGrasp`, its gradient and its Hessian, for K weightings of the same attempts at once.
 
     With η the logit of m, μ the mean of the observed outcome (m or 1 − m) and c its count (k or l), an attempt has
@@ -177,7 +177,7 @@ def negative_log_posteriors(theta: Float[np.ndarray, "K 3"], decided: Decided, w
     return loss, shift / SPREAD - gradient, np.diag(SPREAD**-2.0) - hessian
 
 
-def fitted_thetas(decided: Decided, weight: Weights) -> Float[np.ndarray, "K 3"]:
+def fitted_thetas(decided: DecidedAttempts, weight: Weights) -> Float[np.ndarray, "K 3"]:
     """Posterior mode of intercept, slope and log s under each of K weightings."""
     first, kind = kinds(*decided.history, decided.succeeded)
     each = decided.among(first)

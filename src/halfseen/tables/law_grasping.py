@@ -55,7 +55,7 @@ import numpy as np
 
 from halfseen.arrays import RowIds, RowMask, Rows
 from halfseen.shapes import Float
-from halfseen.tables.evidence import AT_LIMIT, Prior, Watched, least
+from halfseen.tables.evidence import AT_LIMIT, Prior, TimedAttempts, least
 from halfseen.world.grasping import AssumedGrasping, FittedGrasping, GraspLaw
 
 REACH = np.array([10.0, 15.0, 2.5, 5.0, 5.0, 4.0])
@@ -65,12 +65,14 @@ PRIOR_SPREAD = 0.25
 """Spread of a prior centred at a given law, as a share of the weak prior's."""
 
 
-def choose_grasping(tried: Watched, limit_s: float, known: GraspLaw | None = None) -> AssumedGrasping | FittedGrasping:
+def choose_grasping(
+    tried: TimedAttempts, limit_s: float, known: GraspLaw | None = None
+) -> AssumedGrasping | FittedGrasping:
     """Fit both families to attempts, and choose the better one; the exponential one if they are equal.
 
     τ is `limit_s` [s]. If a law is `known`, its family is fitted with the prior centred at it; None for weak priors.
     """
-    families: list[Exponential | Logistic] = [Logistic(tried, limit_s)]
+    families: list[Exponential | LogisticFamily] = [LogisticFamily(tried, limit_s)]
     if misses_at_limit_alone(tried, limit_s):
         families.insert(0, Exponential(tried, limit_s))
     about = {type(family): family.theta_of(known) for family in families}
@@ -81,7 +83,7 @@ def choose_grasping(tried: Watched, limit_s: float, known: GraspLaw | None = Non
     return family.law(theta)
 
 
-def misses_at_limit_alone(tried: Watched, limit_s: float) -> bool:
+def misses_at_limit_alone(tried: TimedAttempts, limit_s: float) -> bool:
     """Whether the attempts are possible in the exponential family."""
     return not (tried.is_missed & (tried.watched_s < AT_LIMIT * limit_s)).any()
 
@@ -110,10 +112,10 @@ _OF_EXPONENTIAL, _OF_LOGISTIC = _Quadrature.of(31), _Quadrature.of(15)
 
 
 @dataclass(frozen=True, eq=False)
-class _Family:
+class _AttemptFamily:
     """Laws of attempts that end within τ (`limit_s` [s]), with a prior centred at θ `known`; None for a weak prior."""
 
-    tried: Watched
+    tried: TimedAttempts
     limit_s: float
     known: Rows | None = None
 
@@ -136,7 +138,7 @@ class _Family:
         return -self.loss(theta)[0] - len(theta) / 2.0 * float(np.log(max(len(self.tried.object), 1)))
 
 
-class Exponential(_Family):
+class Exponential(_AttemptFamily):
     """The exponential family; θ is a − log τ, b and log σ."""
 
     @property
@@ -200,7 +202,7 @@ class _Attempts(NamedTuple):
     """The first attempt at each object."""
 
 
-class Logistic(_Family):
+class LogisticFamily(_AttemptFamily):
     """The logistic family; θ is a, b, log σ, mean log duration of holds, difference of misses from it, and log s."""
 
     @property

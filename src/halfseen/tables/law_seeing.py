@@ -64,7 +64,7 @@ FOUND = np.array([0.5, 0.1])
 
 
 @dataclass(frozen=True, eq=False)
-class _Family:
+class _LabelFamily:
     """Laws of labels; a share π (`dirty_share`) of the objects is dirty."""
 
     labels: Labels
@@ -86,7 +86,7 @@ class _Family:
         raise NotImplementedError
 
 
-class Independent(_Family):
+class Independent(_LabelFamily):
     """Labels that are each news; their accuracy is at least ½."""
 
     prior: ClassVar[Prior] = Prior(np.array([0.0, -3.0, 0.0]), np.array([1.5, 1.0, 0.5]))
@@ -161,7 +161,7 @@ class Intervals(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Persistent(_Family):
+class Persistent(_LabelFamily):
     """Labels that persist as long as the view, with curves in `num_parts` parts of the surface in full view."""
 
     num_parts: int = NUM_PARTS

@@ -20,7 +20,7 @@ from halfseen.arrays import Rows
 from halfseen.logs import Logs
 from halfseen.planners.belief import grasp_probability, known_seeing, prior_grip
 from halfseen.shapes import Bool, Float
-from halfseen.tables.evidence import Brought, Evidence, Watched, beside_prices, brought_by, evidence_of
+from halfseen.tables.evidence import Brought, Evidence, TimedAttempts, beside_prices, brought_by, evidence_of
 from halfseen.tables.grasp_attempts import attempts, rows_of_attempts
 from halfseen.tables.law_grasping import choose_grasping
 from halfseen.tables.recorder import seeing_of
@@ -284,7 +284,7 @@ def fitted_laws(evidence: Evidence, known: WorldConfig, prior: WorldConfig | Non
     return FittedLaws(config, is_mended, how)
 
 
-def laws_in_words(laws: FittedLaws, tried: Watched) -> str:
+def laws_in_words(laws: FittedLaws, tried: TimedAttempts) -> str:
     """Describe the predictions of fitted laws for the attempts of their log, and for a first look."""
     config: Any = laws.config
     grip = prior_grip(tried.grip.astype(np.float32))

@@ -32,7 +32,7 @@ import numpy as np
 
 from halfseen.arrays import Array, library_of
 from halfseen.planners import one_step
-from halfseen.planners.one_step import MISSED, MISSED_THEN_HELD, NOW, Outlook, Table
+from halfseen.planners.one_step import MISSED, MISSED_THEN_HELD, NOW, Beliefs, Outlook
 from halfseen.shapes import Bool, Float
 from halfseen.tables.features import NUM_TEAM_FEATURES, team_features
 from halfseen.world.actions import VERB_NAMES, WAIT, ActionSpace
@@ -49,7 +49,7 @@ ZERO, ONE, _TINY = np.float32(0.0), np.float32(1.0), np.finfo(np.float32).tiny
 class Ahead(NamedTuple):
     """The look-ahead from some beliefs; batch axes *B come last."""
 
-    table: Table
+    table: Beliefs
     look: Outlook
     values: Float[Array, "2 C *B"]
     """Q_1 and Q° of WASH and LIFT of each object above leaving all; −∞ for absent objects."""
@@ -65,7 +65,7 @@ class Ahead(NamedTuple):
         return self.values[0]
 
 
-def ahead_of(config: WorldConfig, table: Table) -> Ahead:
+def ahead_of(config: WorldConfig, table: Beliefs) -> Ahead:
     """Look ahead, and compute the features."""
     look = one_step.outlook_of(config, table)
     each = one_step.tries_then(config, look, (ZERO,))
@@ -98,7 +98,7 @@ class _Objects(NamedTuple):
     scarce: Float[Array, "*B"]
 
 
-def _objects(config: WorldConfig, table: Table, look: Outlook, gains: Float[Array, "2 M N *B"]) -> _Objects:
+def _objects(config: WorldConfig, table: Beliefs, look: Outlook, gains: Float[Array, "2 M N *B"]) -> _Objects:
     xp, there = library_of(gains), table.is_there
     expected, p = look.expected[0], table.is_dirty
     holds, again = expected[NOW], expected[MISSED_THEN_HELD] / xp.maximum(expected[MISSED], _TINY)
@@ -139,7 +139,7 @@ def _objects(config: WorldConfig, table: Table, look: Outlook, gains: Float[Arra
 
 
 def _described(
-    config: WorldConfig, table: Table, look: Outlook, gains: Float[Array, "2 M N *B"], values: Float[Array, "2 C *B"]
+    config: WorldConfig, table: Beliefs, look: Outlook, gains: Float[Array, "2 M N *B"], values: Float[Array, "2 C *B"]
 ) -> tuple[Float[Array, " 14 *B"], Float[Array, "30 2 N *B"]]:
     """Features of the table, and features of each verb and target."""
     xp, there = library_of(values), table.is_there
@@ -153,7 +153,7 @@ def _described(
     return xp.stack(_of_table(table, each)).astype(np.float32), own
 
 
-def _of_table(table: Table, each: _Objects) -> list[Float[Array, "*B"]]:
+def _of_table(table: Beliefs, each: _Objects) -> list[Float[Array, "*B"]]:
     xp = library_of(each.gain)
     in_order = xp.sort(each.gain, axis=0)[::-1]
     number = np.arange(len(in_order)).reshape(-1, *(1,) * (in_order.ndim - 1))
@@ -177,7 +177,7 @@ def _of_table(table: Table, each: _Objects) -> list[Float[Array, "*B"]]:
     ]
 
 
-def _of_target(table: Table, each: _Objects) -> list[Float[Array, " N *B"]]:
+def _of_target(table: Beliefs, each: _Objects) -> list[Float[Array, " N *B"]]:
     return [
         each.worth / 5.0,
         each.gain / 5.0,

@@ -19,7 +19,7 @@ from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.features import table_features, table_q, team_features
 from halfseen.world import ExploringPolicy, Policy, UniformPolicy, random
 from halfseen.world.actions import WAIT, ActionSpace, Verb, is_decider, possible_actions, worthwhile_actions
-from halfseen.world.policy import ByValue, Decision, GraspModel, check_decides_for, surely
+from halfseen.world.policy import ByValue, GraspModel, PolicyDraw, check_decides_for, surely
 from halfseen.world.random import Key
 from halfseen.world.state import TableState
 
@@ -150,7 +150,7 @@ class LinearTeamPolicy(_LinearPolicy):
         """Number of decisions of all robots together for which it was learned."""
         return len(self.coefficients)
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Choose an action, deterministically."""
         q = self.q_values(state)
         xp = library_of(q)
@@ -261,7 +261,7 @@ def _check_number(policy: Any, states: TableState) -> None:
         check_decides_for(policy, states.num_robots)
 
 
-def _decision(policy: Any, states: TableState) -> Decision:
+def _decision(policy: Any, states: TableState) -> PolicyDraw:
     keys = np.broadcast_to(random.key_of(0), (*states.is_object.shape[:-1], 2))
     return policy.decide(states, keys)
 
@@ -292,7 +292,7 @@ class IndependentPolicies:
         """K, the robots of the team."""
         return len(self.policies)
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Choose by the policy of the deciding robot."""
         table, xp = own_table(state), library_of(state.log_odds)
         found, *rest = [policy.decide(table, key) for policy in self.policies]

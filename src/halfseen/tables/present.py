@@ -125,7 +125,7 @@ class Present:
     dirty_share: float | None = None
 
 
-class Known(NamedTuple):
+class KnownObjects(NamedTuple):
     """Knowledge of each object, apart from past attempts."""
 
     log_odds: PerObject
@@ -135,7 +135,7 @@ class Known(NamedTuple):
     grip: PerObject
 
 
-class Tried(NamedTuple):
+class PastAttempt(NamedTuple):
     """A past attempt."""
 
     target: int
@@ -158,7 +158,7 @@ def first_state(scene: Scene, horizon: int, dirty_share: float, stage: int = 1) 
     return Present(state, stage, dirty_share=dirty_share)
 
 
-def unknown(scene: Scene, dirty_share: float) -> Known:
+def unknown(scene: Scene, dirty_share: float) -> KnownObjects:
     """Knowledge of objects that were never seen before.
 
     `dirty_share` is P(DIRTY) of an object before any label, in (0, 1).
@@ -171,10 +171,10 @@ def unknown(scene: Scene, dirty_share: float) -> Known:
     if not 0.0 < dirty_share < 1.0:
         raise PolicyError(f"dirty_share is {dirty_share}; give P(DIRTY) before any label, between 0 and 1")
     none, prior = np.zeros(scene.num_objects), np.log(dirty_share) - np.log1p(-dirty_share)
-    return Known(np.full(scene.num_objects, prior), none, none, np.asarray(scene.grip, dtype=np.float64))
+    return KnownObjects(np.full(scene.num_objects, prior), none, none, np.asarray(scene.grip, dtype=np.float64))
 
 
-def state_now(hides: Hides, known: Known, tried: Sequence[Tried], horizon: int, stage: int) -> TableState:
+def state_now(hides: Hides, known: KnownObjects, tried: Sequence[PastAttempt], horizon: int, stage: int) -> TableState:
     """State of a table with all known objects on it.
 
     `horizon` is T of the policy, and stages count from 1.
@@ -189,7 +189,7 @@ def state_now(hides: Hides, known: Known, tried: Sequence[Tried], horizon: int, 
             f"stage {stage} with {len(tried)} past attempts is beyond the policy's horizon of {horizon} stages; "
             "end the trajectory, or learn with a longer horizon"
         )
-    empty = [Tried(NO_ATTEMPT, 0.0, False)] * (horizon - len(tried))
+    empty = [PastAttempt(NO_ATTEMPT, 0.0, False)] * (horizon - len(tried))
     target, occluded, succeeded = (np.array(column) for column in zip(*tried, *empty, strict=True))
     there = np.ones(len(hides), dtype=bool)
     leaves = {

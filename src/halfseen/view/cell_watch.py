@@ -14,7 +14,7 @@ import numpy as np
 from halfseen.arrays import Points
 from halfseen.cell.episode import Moment
 from halfseen.cell.live_cell import LiveCell
-from halfseen.cell.planning import Plan
+from halfseen.cell.planning import FetchPlan
 from halfseen.cell.rewards import Run
 from halfseen.cell.workcell import Workcell
 from halfseen.policies.table_decider import TableDecider
@@ -24,7 +24,7 @@ from halfseen.tables.explain import TableExplanation, action_reason
 from halfseen.tables.present import Present
 from halfseen.view.shapes import convex_mesh, moved
 from halfseen.view.stage_view import Hand, Option, Part, StageView, Watched
-from halfseen.view.stages import Known, coloured_points, eye_over_table, options_of, shown_objects
+from halfseen.view.stages import ShownObject, coloured_points, eye_over_table, options_of, shown_objects
 from halfseen.world import random
 from halfseen.world.actions import ActionSpace
 from halfseen.world.policy import ExploringPolicy, Policy
@@ -99,7 +99,7 @@ class CellWatch:
         self._poses: list[Any] = []
         self._arm = 0
         self._next_s = np.inf
-        self._old_plan: Plan | None = None
+        self._old_plan: FetchPlan | None = None
         self._events: list[str] = []
         self._num_known: dict[int, tuple[int, int]] = {}
         self.stages: list[StageView] = []
@@ -155,7 +155,7 @@ class CellWatch:
         for number in there:
             each = memory.objects[number]
             middle_m, solid = moved(each.middle_m[None], table_from_world)[0], each.seen and each.seen.solid
-            known.append(Known(number, float(chances[number]), memory.occlusion(number), middle_m, solid))
+            known.append(ShownObject(number, float(chances[number]), memory.occlusion(number), middle_m, solid))
         eye_m = eye_over_table(view, cloud)
         options, reason = ((), moment.words) if moment.of_team else explained(cast(Policy, self._policy), moment)
         return StageView(
@@ -216,7 +216,7 @@ def explained(policy: Policy, moment: Moment) -> tuple[tuple[Option, ...], str]:
     return options, decision.reason if decision.action == name else f"{name}: {explanation}."
 
 
-def _hand(cell: Workcell, arm: int, planned: Plan) -> Hand:
+def _hand(cell: Workcell, arm: int, planned: FetchPlan) -> Hand:
     kinematics = cell.cell.kinematics[cell.stations[arm].robot.name]
     angles = np.concatenate([planned.hover, planned.approach, planned.lift])
     way_m = np.array([kinematics.hand(each).position_m for each in angles], dtype=np.float64)

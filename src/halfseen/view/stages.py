@@ -183,7 +183,7 @@ def _seen_stage(
 ) -> StageView:
     """Show one look, in coordinates of its table; `is_dirty` may include objects beyond those of the view."""
     known = [
-        Known(seen.id, float(is_dirty[seen.id]), seen.occlusion, seen.solid.middle_m, seen.solid)
+        ShownObject(seen.id, float(is_dirty[seen.id]), seen.occlusion, seen.solid.middle_m, seen.solid)
         for seen in view.objects
     ]
     num, eye_m = len(known), eye_over_table(view, cloud)
@@ -216,7 +216,7 @@ def options_of(decision: Decision) -> tuple[Option, ...]:
     return tuple(sorted(known, key=lambda option: -option.value))
 
 
-class Known(NamedTuple):
+class ShownObject(NamedTuple):
     """What is known of an object, whether visible or not; positions are in coordinates of the table.
 
     `number` is its number in decisions, `middle_m` its centre when last seen [m], and `solid` is None if it is not in
@@ -230,7 +230,7 @@ class Known(NamedTuple):
     solid: Vessel | Hull | None
 
 
-def shown_objects(known: Sequence[Known], eye_m: Vector, frame_from_table: Transform) -> tuple[Shown, ...]:
+def shown_objects(known: Sequence[ShownObject], eye_m: Vector, frame_from_table: Transform) -> tuple[Shown, ...]:
     """Give objects their displayed shapes.
 
     Parameters

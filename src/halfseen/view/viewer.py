@@ -48,7 +48,7 @@ _THINNEST_M, _THICKEST_M = 0.0015, 0.006
 _MOMENT_S, _STAGE_S = 0.2, 3.0
 
 
-class Scene:
+class ViewerScene:
     """Draws stages into a scene of the viewer, each replacing the last, in layers that can be hidden."""
 
     def __init__(self, scene: "SceneApi") -> None:
@@ -192,7 +192,7 @@ def write_html(watched: Watched, file: str | os.PathLike[str]) -> None:
 def _played(server: "ViserServer", watched: Watched) -> tuple[list[float], str]:
     """Start of each stage in the viewer's recording [s], and the viewer with its recording."""
     look_from_aside(server, watched)
-    scene, is_still = Scene(server.scene), len(watched.stages) == 1 and len(watched.stages[0].poses) < 2
+    scene, is_still = ViewerScene(server.scene), len(watched.stages) == 1 and len(watched.stages[0].poses) < 2
     recorded = server.get_scene_serializer()
     now_s, begins = 0.0, []
     for stage in watched.stages:
@@ -233,7 +233,7 @@ class Page:
         self._watched: Watched | None = None
         self._index, self._is_playing = 0, False
         self._stop = threading.Event()
-        self._scene = Scene(self._server.scene)
+        self._scene = ViewerScene(self._server.scene)
         self._add_controls()
 
     def close(self) -> None:

@@ -55,7 +55,7 @@ PACKAGES = ("mujoco", "numpy", "pandas", "scipy")
 """The packages that the results depend on, beside halfseen."""
 
 
-class Outcome(NamedTuple):
+class PieceResult(NamedTuple):
     """The outcome of a piece."""
 
     number: int
@@ -75,15 +75,15 @@ def versions() -> Mapping[str, str]:
     return found
 
 
-def made(wanted: Mapping[str, str], function: UInt8[np.ndarray, " bytes"], number: int, piece: Any) -> Outcome:
+def made(wanted: Mapping[str, str], function: UInt8[np.ndarray, " bytes"], number: int, piece: Any) -> PieceResult:
     """Make a piece, in a worker; errors that a user can fix are returned unchanged."""
     try:
         _check_versions(wanted)
-        return Outcome(number, result_of(_function(function.tobytes()), piece))
+        return PieceResult(number, result_of(_function(function.tobytes()), piece))
     except HalfseenError as error:
-        return Outcome(number, None, error)
+        return PieceResult(number, None, error)
     except MemoryError:
-        return Outcome(number, None, WorkerError("a worker ran out of memory; give --workers a smaller number"))
+        return PieceResult(number, None, WorkerError("a worker ran out of memory; give --workers a smaller number"))
 
 
 def result_of(function: Callable[[Any], Any], piece: Any) -> Any:

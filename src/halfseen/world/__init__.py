@@ -27,7 +27,7 @@ if TYPE_CHECKING:
         KnownGrasping,
     )
     from halfseen.world.log_checks import check_log
-    from halfseen.world.policy import Decision, ExploringPolicy, Policy, UniformPolicy
+    from halfseen.world.policy import ExploringPolicy, Policy, PolicyDraw, UniformPolicy
     from halfseen.world.robots import Robot, Team, read_team
     from halfseen.world.scene import Scene
     from halfseen.world.seeing import AssumedSeeing, Glimpse, KnownSeeing, LookOutcome, PersistentSeeing, SeeingLaw
@@ -40,7 +40,6 @@ __all__ = [
     "AssumedGrasping",
     "AssumedSeeing",
     "Attempt",
-    "Decision",
     "Explanation",
     "ExploringPolicy",
     "FittedGrasping",
@@ -52,6 +51,7 @@ __all__ = [
     "LookOutcome",
     "PersistentSeeing",
     "Policy",
+    "PolicyDraw",
     "Robot",
     "Robots",
     "Scene",
@@ -74,7 +74,7 @@ _NAMES = {
     "explanation": "Explanation",
     "grasping": "Arrangement AssumedGrasping Attempt FittedGrasping GraspLaw GraspingByRobot KnownGrasping",
     "log_checks": "check_log",
-    "policy": "Decision ExploringPolicy Policy UniformPolicy",
+    "policy": "PolicyDraw ExploringPolicy Policy UniformPolicy",
     "robots": "Robot Team read_team",
     "scene": "Scene",
     "seeing": "AssumedSeeing Glimpse KnownSeeing PersistentSeeing SeeingLaw LookOutcome",

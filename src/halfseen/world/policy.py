@@ -15,7 +15,7 @@ from halfseen.world.random import Key
 from halfseen.world.state import TableState
 
 
-class Decision(NamedTuple):
+class PolicyDraw(NamedTuple):
     """An action and its propensity, the probability that the policy takes it (NaN if unknown)."""
 
     action: Int[Array, "*B"]
@@ -26,21 +26,21 @@ class Decision(NamedTuple):
 class Policy(Protocol):
     """Decides for each table of a batch from its observed state; in a team, for the robot that is free."""
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Choose a possible action for each table; `key` is the only source of randomness."""
         ...
 
 
-def surely(action: Int[Array, "*B"]) -> Decision:
+def surely(action: Int[Array, "*B"]) -> PolicyDraw:
     """Return a deterministic decision."""
     action = action.astype(np.int32)
-    return Decision(action, library_of(action).ones(action.shape, dtype=np.float32))
+    return PolicyDraw(action, library_of(action).ones(action.shape, dtype=np.float32))
 
 
-def uniformly(is_possible: Bool[Array, "*B A"], key: Key) -> Decision:
+def uniformly(is_possible: Bool[Array, "*B A"], key: Key) -> PolicyDraw:
     """Draw each possible action with the same probability."""
     num_possible = library_of(is_possible).sum(is_possible, axis=-1).astype(np.float32)
-    return Decision(random.one_of(key, is_possible), 1.0 / num_possible)
+    return PolicyDraw(random.one_of(key, is_possible), 1.0 / num_possible)
 
 
 class ByValue:
@@ -48,7 +48,7 @@ class ByValue:
 
     q_values: Callable[..., Any]
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Choose an action; deterministic."""
         return surely(library_of(state.log_odds).argmax(self.q_values(state), axis=-1))
 
@@ -57,7 +57,7 @@ class ByValue:
 class UniformPolicy:
     """Takes each possible action with the same probability."""
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Choose uniformly at random."""
         return uniformly(possible_actions(state), key)
 
@@ -85,14 +85,14 @@ class ExploringPolicy:
     def __post_init__(self) -> None:
         check_number("random_share", self.random_share)
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Draw a decision from the mixture, with its probability under the mixture."""
         base_key, coin_key, uniform_key = random.split(key, 3)
         base, uniform = self.base.decide(state, base_key), UniformPolicy().decide(state, uniform_key)
         xp, share = library_of(base.action), self.random_share
         action = xp.where(random.uniform(coin_key) < share, uniform.action, base.action)
         by_base = xp.where(action == base.action, base.probability, np.float32(0.0))
-        return Decision(action, share * uniform.probability + (1.0 - share) * by_base)
+        return PolicyDraw(action, share * uniform.probability + (1.0 - share) * by_base)
 
 
 def check_fits(policy: Any, config: WorldConfig) -> None:

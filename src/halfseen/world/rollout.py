@@ -9,7 +9,7 @@ from halfseen.arrays import Array, Tree, chosen, library_of, mapped, record, sta
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
-from halfseen.world.policy import Decision, Policy
+from halfseen.world.policy import Policy, PolicyDraw
 from halfseen.world.random import Key
 from halfseen.world.state import HiddenState, Layout, TableState
 from halfseen.world.transition import Outcome, start, step
@@ -59,7 +59,7 @@ class Stage(NamedTuple):
     """Record of a stage, even if the trajectory was already over."""
 
     state: TableState
-    decision: Decision
+    decision: PolicyDraw
     outcome: Outcome
     is_taken: Bool[Array, "*B"]
 
@@ -127,7 +127,7 @@ class _SideBySide:
     def __init__(self, policies: Sequence[Policy]) -> None:
         self._policies = policies
 
-    def decide(self, state: TableState, key: Key) -> Decision:
+    def decide(self, state: TableState, key: Key) -> PolicyDraw:
         """Let each policy choose for its part."""
         size = len(key) // len(self._policies)
         parts = [slice(k * size, (k + 1) * size) for k in range(len(self._policies))]

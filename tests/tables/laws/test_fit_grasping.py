@@ -11,8 +11,8 @@ from scipy.special import expit
 from scipy.stats import lognorm, norm
 from simulated_tables import CALIBRATED, GRASPING, evidence
 
-from halfseen.tables.evidence import AT_LIMIT, Watched, of_first
-from halfseen.tables.law_grasping import Exponential, Logistic, choose_grasping, misses_at_limit_alone
+from halfseen.tables.evidence import AT_LIMIT, TimedAttempts, of_first
+from halfseen.tables.law_grasping import Exponential, LogisticFamily, choose_grasping, misses_at_limit_alone
 from halfseen.world import AssumedGrasping, FittedGrasping, WorldConfig
 
 LIMIT_S = 9.5
@@ -34,7 +34,7 @@ def drawn(num_objects, seed=0, cut_share=0.3):
     is_last = (holds | is_cut).reshape(-1, 4)
     is_kept = (np.cumsum(is_last, axis=1) - is_last == 0).ravel()
     columns = (target, target, occlusion, grip, np.minimum(cut_s, lasts_s), holds & ~is_cut, ~holds & ~is_cut)
-    return Watched(*(column[is_kept] for column in columns))
+    return TimedAttempts(*(column[is_kept] for column in columns))
 
 
 def some_attempts():
@@ -46,7 +46,7 @@ def some_attempts():
     tried.watched_s[np.flatnonzero(tried.is_held)[0]] = LIMIT_S
     tried.watched_s[np.flatnonzero(~(tried.is_held | tried.is_missed))[0]] = 0.0
     order = rng.permutation(len(tried.object))
-    return Watched(*(values[order] for values in tried))
+    return TimedAttempts(*(values[order] for values in tried))
 
 
 def exponential_likelihood(law, u, occlusion, grip, watched_s, is_held, is_missed):
@@ -94,10 +94,10 @@ EXPONENTIAL = Family(
     1e-3,
 )
 LOGISTIC = Family(
-    Logistic,
+    LogisticFamily,
     logistic_likelihood,
     [
-        Logistic(NONE, LIMIT_S).prior.mode,
+        LogisticFamily(NONE, LIMIT_S).prior.mode,
         np.array([2.0, -0.5, np.log(0.8), 1.3, 0.3, np.log(0.25)]),
         np.array([-1.0, 2.0, -1.5, 2.2, -0.6, 0.1]),
     ],
@@ -142,7 +142,7 @@ def test_nothing_makes_the_logistic_posterior_infinite_or_warns():
     tried = some_attempts()._replace(grip=np.linspace(-30.0, 30.0, len(some_attempts().object)))
     first, _, last = LOGISTIC.thetas
     for theta in (first - 5.0, first + 4.0, last - np.array([0, 0, 0, 0, 0, 4.0])):
-        value, gradient = Logistic(tried, LIMIT_S).loss(theta)
+        value, gradient = LogisticFamily(tried, LIMIT_S).loss(theta)
         assert np.isfinite(value)
         assert np.isfinite(gradient).all()
 
@@ -167,7 +167,7 @@ def test_without_attempts_the_law_is_the_prior_s(family):
 def test_what_was_watched_for_no_time_tells_nothing(family):
     tried = some_attempts()
     more = (3, 11, 0.9, 2.0, 0.0, False, False)
-    longer = Watched(*(np.append(values, more) for values, more in zip(tried, more, strict=True)))
+    longer = TimedAttempts(*(np.append(values, more) for values, more in zip(tried, more, strict=True)))
     laws = family.fitted(longer), family.fitted(tried)
     np.testing.assert_allclose(*map(family.numbers_of, laws), atol=1e-9)
 
@@ -181,7 +181,7 @@ def test_numbers_of_objects_mean_nothing_but_which_attempts_share_one(family):
 
 def test_without_misses_a_miss_lasts_as_long_as_what_holds():
     tried = drawn(40, cut_share=0.0)
-    law = LOGISTIC.fitted(Watched(*(values[tried.is_held] for values in tried)))
+    law = LOGISTIC.fitted(TimedAttempts(*(values[tried.is_held] for values in tried)))
     assert law.log_missed_s == pytest.approx(law.log_held_s, abs=1e-3)
     assert law.log_held_s == pytest.approx(GRASPING.log_held_s, abs=0.1)
 
@@ -252,7 +252,7 @@ def test_without_cut_attempts_the_law_seems_better_than_it_is_where_the_slow_one
 ):
     tried, limit_s = evidence(4000, 0.7, "attempt", config=config).tried, config.grasping.limit_s
     is_kept = tried.is_held | tried.is_missed
-    dropped = family.fitted(Watched(*(values[is_kept] for values in tried)), limit_s)
+    dropped = family.fitted(TimedAttempts(*(values[is_kept] for values in tried)), limit_s)
     assert tells(dropped) < tells(config.grasping) - seems
     assert abs(tells(family.fitted(tried, limit_s)) - tells(config.grasping)) < near
 
@@ -265,7 +265,7 @@ def test_of_one_attempt_each_family_is_a_distribution_over_the_same_results(fami
 
     def density(watched_s, is_held):
         columns = (0, 0, 0.4, 0.3, watched_s, is_held, not is_held)
-        one = family.of(Watched(*(np.array([value]) for value in columns)), LIMIT_S)
+        one = family.of(TimedAttempts(*(np.array([value]) for value in columns)), LIMIT_S)
         return np.exp(one.score(theta) + prior)
 
     total = quad(lambda s: density(s, True), 0.0, begin_s)[0] + density(LIMIT_S, True) + density(LIMIT_S, False)
@@ -278,12 +278,14 @@ def timed_out(num=60):
     rng = np.random.default_rng(0)
     grasp_s = rng.exponential(0.6 * LIMIT_S, num)
     is_held, target = grasp_s < LIMIT_S, np.arange(num) // 2
-    return Watched(target, target, rng.random(num), np.zeros(num), np.minimum(grasp_s, LIMIT_S), is_held, ~is_held)
+    return TimedAttempts(
+        target, target, rng.random(num), np.zeros(num), np.minimum(grasp_s, LIMIT_S), is_held, ~is_held
+    )
 
 
 def test_the_unit_of_time_does_not_choose():
     def margin(tried, limit_s):
-        exponential, logistic = Exponential(tried, limit_s), Logistic(tried, limit_s)
+        exponential, logistic = Exponential(tried, limit_s), LogisticFamily(tried, limit_s)
         return exponential.score(exponential.fitted()) - logistic.score(logistic.fitted())
 
     tried = timed_out()

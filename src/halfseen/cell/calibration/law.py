@@ -41,7 +41,7 @@ from halfseen.cell.facts import Facts, facts_of
 from halfseen.errors import PolicyError
 from halfseen.logs import Logs
 from halfseen.perception.view import View
-from halfseen.policies.folder.files import Kind, read_files, write_files
+from halfseen.policies.folder.files import FolderKind, read_files, write_files
 from halfseen.policies.folder.record import plain
 from halfseen.reading import json_of
 from halfseen.world.config import WorldConfig
@@ -168,7 +168,7 @@ def shipped_law() -> Path:
 
 
 ATTEMPTS, VISIBLE_ONLY = "attempts", "attempts-visible-only"
-LAW = Kind("law", "halfseen cell calibrate")
+LAW = FolderKind("law", "halfseen cell calibrate")
 VERSION = 1
 _AGAIN = f"make it again by `{LAW.maker}`"
 

@@ -32,7 +32,7 @@ class Channel(NamedTuple):
     """Decodes bytes into a message; broken bytes raise almost any exception."""
 
 
-class Recorded(NamedTuple):
+class BagMessage(NamedTuple):
     """A message as it was recorded."""
 
     channel: Channel
@@ -74,7 +74,7 @@ def _whole(bag: Path) -> Any:
     return refused(bag, "it is not a complete bag", remedy, passed=(HalfseenError,))
 
 
-def messages_of(bag: Path, reader: Any, channels: list[Channel]) -> Iterator[Recorded]:
+def messages_of(bag: Path, reader: Any, channels: list[Channel]) -> Iterator[BagMessage]:
     """Read the messages of some channels of an opened bag, in the order of its files (`LogError`)."""
     with _whole(bag):
         for message in reader.messages(channels) if channels else ():
@@ -83,7 +83,7 @@ def messages_of(bag: Path, reader: Any, channels: list[Channel]) -> Iterator[Rec
             yield message
 
 
-def decoded(bag: Path, message: Recorded) -> Any:
+def decoded(bag: Path, message: BagMessage) -> Any:
     """Decode a message (`LogError`)."""
     with _whole(bag):
         return message.channel.decode(message.content)
@@ -106,10 +106,10 @@ class _RosBag:
     def _decoded(self, kind: str, content: bytes) -> Any:
         return self._reader.deserialize(content, kind)
 
-    def messages(self, channels: Collection[Channel]) -> Iterator[Recorded]:
+    def messages(self, channels: Collection[Channel]) -> Iterator[BagMessage]:
         by_key = {channel.key: channel for channel in channels}
         for each, log_ns, content in self._reader.messages(connections=[self._connections[key] for key in by_key]):
-            yield Recorded(by_key[id(each)], log_ns, None, content)
+            yield BagMessage(by_key[id(each)], log_ns, None, content)
 
 
 class _McapFiles:
@@ -120,14 +120,14 @@ class _McapFiles:
         self._files = files
         self.channels = [channel for number, file in enumerate(files) for channel in _channels(number, file)]
 
-    def messages(self, channels: Collection[Channel]) -> Iterator[Recorded]:
+    def messages(self, channels: Collection[Channel]) -> Iterator[BagMessage]:
         wanted = {channel.key: channel for channel in channels}
         message = extra("mcap.records", "mcap").Message
         for number, file in enumerate(self._files):
             for record in _records(file):
                 if isinstance(record, message) and (number, record.channel_id) in wanted:
                     channel = wanted[number, record.channel_id]
-                    yield Recorded(channel, record.log_time, record.publish_time, record.data)
+                    yield BagMessage(channel, record.log_time, record.publish_time, record.data)
 
 
 def _channels(number: int, file: Path) -> Iterator[Channel]:

@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.logs.formats.bag_files import Recorded, decoded, messages_of, opened_bag
-from halfseen.logs.formats.mapping import BagMapping, Source
+from halfseen.logs.formats.bag_files import BagMessage, decoded, messages_of, opened_bag
+from halfseen.logs.formats.mapping import BagMapping, ValueSource
 from halfseen.shapes import Float
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -84,7 +84,7 @@ def read_events(bag: Path, mapping: BagMapping) -> list[list[Event]]:
     LogError
         The bag is missing or broken.
     """
-    by_topic: dict[str, list[tuple[str, Source]]] = {}
+    by_topic: dict[str, list[tuple[str, ValueSource]]] = {}
     for key, source in mapping.sources.items():
         by_topic.setdefault(source.topic, []).append((key, source))
     events: list[tuple[int, Event]] = []
@@ -203,7 +203,7 @@ def points_of(message: Any, where: str) -> tuple[Float[np.ndarray, "n 3"], tuple
         return np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1), (rows, columns)
 
 
-def _stamp(message: Any, recorded: Recorded, mapping: BagMapping) -> int:
+def _stamp(message: Any, recorded: BagMessage, mapping: BagMapping) -> int:
     where = f"{mapping.file}, clock: {recorded.channel.topic} ({recorded.channel.kind})"
     if mapping.clock == "log":
         return recorded.log_ns
@@ -226,7 +226,7 @@ def _part(value: Any, name: str) -> Any:
     return value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
 
 
-def _value(message: Any, key: str, source: Source, where: str) -> Any:
+def _value(message: Any, key: str, source: ValueSource, where: str) -> Any:
     if source.field is None:  # a trajectory's beginning without a name
         return None
     value = message

@@ -13,7 +13,7 @@ import pandas as pd
 from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
 from halfseen.logs.formats.ending_flags import are_flags
-from halfseen.logs.formats.mapping import Layout
+from halfseen.logs.formats.mapping import TextLayout
 from halfseen.logs.formats.table_cells import TYPED_FILES, Cells, heading_of, read_cells, refuse_empty
 from halfseen.logs.formats.table_values import (
     BEGIN_LIKE,
@@ -87,12 +87,12 @@ def mapping_of(file: str | Path) -> str:
 def _read(file: Path) -> Cells:
     """Read a table whose heading may be below other lines, and find its thousands separator."""
     try:
-        cells = refuse_empty(read_cells(file, Layout()))
+        cells = refuse_empty(read_cells(file, TextLayout()))
     except LogError:
         heading = 1 if file.suffix in TYPED_FILES or not file.is_file() else heading_of(file)
         if heading == 1:
             raise
-        cells = refuse_empty(read_cells(file, Layout(heading=heading)))
+        cells = refuse_empty(read_cells(file, TextLayout(heading=heading)))
     return replace(cells, layout=msgspec.structs.replace(cells.layout, thousands=thousands_mark(cells)))
 
 

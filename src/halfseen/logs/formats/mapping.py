@@ -60,7 +60,7 @@ def _refuse(file: str | Path, mapping: Any, troubles: Iterator[tuple[str, str]])
         raise ArgumentError(f"{file}, {key}: {trouble}")
 
 
-class Source(msgspec.Struct, **Given):
+class ValueSource(msgspec.Struct, **Given):
     """Source of a value."""
 
     topic: str = ""
@@ -68,7 +68,7 @@ class Source(msgspec.Struct, **Given):
     """Path into the message; None for the message itself."""
 
 
-class EndingSource(Source, **Given):
+class EndingSource(ValueSource, **Given):
     """Source of an ending; values in `finished` mean finished, all others are causes of a cut."""
 
     finished: Annotated[list[str | int | bool], msgspec.Meta(min_length=1)] = msgspec.field(
@@ -91,20 +91,20 @@ class BagMapping(msgspec.Struct, **Given):
         Source of each covariate of the stages.
     """
 
-    action: Source
-    reward: Source
+    action: ValueSource
+    reward: ValueSource
     ending: EndingSource
     clock: str = "log"
-    trajectory: Source | None = None
-    object: Source | None = None
-    probability: Source | None = None
-    cloud: Source | None = None
-    covariates: dict[str, Source] = {}
+    trajectory: ValueSource | None = None
+    object: ValueSource | None = None
+    probability: ValueSource | None = None
+    cloud: ValueSource | None = None
+    covariates: dict[str, ValueSource] = {}
     file: str = msgspec.field(default="", name="file of the mapping")
     """File it was read from, for messages."""
 
     @property
-    def sources(self) -> dict[str, Source]:
+    def sources(self) -> dict[str, ValueSource]:
         """All sources by their table in the file, such as ``covariates.occlusion``."""
         return _mapped(self)
 
@@ -153,7 +153,7 @@ def _troubles_of_bag(mapping: BagMapping) -> Iterator[tuple[str, str]]:
             yield "cloud.field", "a cloud is a whole message; leave it out"
 
 
-class Layout(msgspec.Struct, **Given):
+class TextLayout(msgspec.Struct, **Given):
     """Layout of a table in a text file; None means to detect it."""
 
     separator: Annotated[str, msgspec.Meta(min_length=1, max_length=1)] | None = None
@@ -261,7 +261,7 @@ class EventMapping(msgspec.Struct, **Given):
     object: Entry | None = None
     probability: Entry | None = None
     covariates: dict[str, Entry] = {}
-    table: Layout = Layout()
+    table: TextLayout = TextLayout()
 
     @property
     def entries(self) -> dict[str, Entry]:

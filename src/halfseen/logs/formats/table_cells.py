@@ -20,7 +20,7 @@ import pyarrow as pa
 
 from halfseen.errors import ArgumentError, LogError, did_you_mean, warn
 from halfseen.logs.columns import refuse_repeated, shown
-from halfseen.logs.formats.mapping import Layout
+from halfseen.logs.formats.mapping import TextLayout
 from halfseen.logs.formats.quotes import check_quotes
 from halfseen.logs.formats.step_tables import LAST, whole_table
 from halfseen.logs.parquet import parquet_file
@@ -41,7 +41,7 @@ class Cells:
     columns: dict[str, list[str]]
     rows: Sequence[int | str]
     """Number of each row in its file, from 1; with several files, preceded by the name of the file."""
-    layout: Layout
+    layout: TextLayout
     word: str = "line"
     """Word for a row in messages: line, row if the file has no lines, or file if there are several."""
     unread: Mapping[str, str] = field(default_factory=dict)
@@ -70,7 +70,7 @@ def is_event_table(file: Path, is_mapped: bool) -> bool:
         return False
 
 
-def read_cells(file: Path, layout: Layout) -> Cells:
+def read_cells(file: Path, layout: TextLayout) -> Cells:
     """Read a text or Parquet file; it may have no rows.
 
     Raises
@@ -118,7 +118,7 @@ def cells_of(place: str, table: pa.Table) -> Cells:
             continue
         _warn_of_rounded(f"{place}, column {name!r}", column)
     rows = range(1, table.num_rows + 1)
-    return _checked(Cells(place, columns, rows, Layout(decimal="."), "row", unread), table.column_names)
+    return _checked(Cells(place, columns, rows, TextLayout(decimal="."), "row", unread), table.column_names)
 
 
 def _texts_of(column: Any) -> list[str]:
@@ -156,7 +156,7 @@ def _decoded(file: Path, content: bytes, encoding: str | None) -> tuple[str, str
     raise LogError(f"{file}, {trouble} are not {encoding or names[-1]}; set table.encoding, or export it as UTF-8")
 
 
-def _split(file: Path, text: str, layout: Layout) -> Cells:
+def _split(file: Path, text: str, layout: TextLayout) -> Cells:
     """Split text into cells."""
     if "\0" in text:
         raise LogError(f"{file}: it holds null characters; set table.encoding, such as 'utf-16', or export it as UTF-8")

@@ -11,7 +11,7 @@ from halfseen.reading import NUMBERS, read_bytes
 from halfseen.writing import left_aside, placed, refuse_taken
 
 
-class Kind(NamedTuple):
+class FolderKind(NamedTuple):
     """What a folder holds."""
 
     name: str
@@ -35,11 +35,11 @@ class Kind(NamedTuple):
         return f"{self.name}.sha256"
 
 
-POLICY = Kind("policy", "halfseen learn")
+POLICY = FolderKind("policy", "halfseen learn")
 RECORD, ARRAYS, DIGESTS = POLICY.record, POLICY.arrays, POLICY.digests
 
 
-def check_target(folder: Path, overwrite: bool, kind: Kind = POLICY) -> None:
+def check_target(folder: Path, overwrite: bool, kind: FolderKind = POLICY) -> None:
     """Refuse a folder that cannot be written to; to be called before long work.
 
     Raises
@@ -60,7 +60,7 @@ def write_files(
     arrays: bytes,
     *,
     overwrite: bool,
-    kind: Kind = POLICY,
+    kind: FolderKind = POLICY,
     beside: Mapping[str, Callable[[Path], None]] = MappingProxyType({}),
 ) -> None:
     """Write the files to a temporary folder, then rename it to `folder`; `beside` writes further files.
@@ -78,7 +78,7 @@ def write_files(
             write(fresh / name)
 
 
-def read_files(folder: Path, kind: Kind = POLICY) -> tuple[bytes, bytes]:
+def read_files(folder: Path, kind: FolderKind = POLICY) -> tuple[bytes, bytes]:
     """Read the record and the arrays.
 
     Raises
@@ -99,7 +99,7 @@ def read_files(folder: Path, kind: Kind = POLICY) -> tuple[bytes, bytes]:
     )
 
 
-def _remedy(folder: Path, kind: Kind) -> str:
+def _remedy(folder: Path, kind: FolderKind) -> str:
     """Remedy for a missing folder."""
     aside = left_aside(folder)
     if aside is None:
@@ -107,7 +107,7 @@ def _remedy(folder: Path, kind: Kind) -> str:
     return f"replacing it was interrupted, and the previous folder is {aside}: rename it back"
 
 
-def _digests(record: bytes, arrays: bytes, kind: Kind) -> bytes:
+def _digests(record: bytes, arrays: bytes, kind: FolderKind) -> bytes:
     return _line(kind.record, record) + _line(kind.arrays, arrays)
 
 
@@ -115,7 +115,7 @@ def _line(name: str, data: bytes) -> bytes:
     return f"{hashlib.sha256(data).hexdigest()}  {name}\n".encode()
 
 
-def _read(file: Path, kind: Kind) -> bytes:
+def _read(file: Path, kind: FolderKind) -> bytes:
     try:
         return read_bytes(file, NUMBERS)
     except FileNotFoundError as error:

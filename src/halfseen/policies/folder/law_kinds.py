@@ -97,7 +97,7 @@ class LawsSchema(Struct):
             raise ValueError(f"horizon is {self.horizon}, but {self.laws.horizon} in the laws")
 
 
-class Bounds(Struct):
+class TeamBounds(Struct):
     """Bounds of E of a team, and the lead that an action must have."""
 
     low: float
@@ -112,7 +112,7 @@ class TeamLawsSchema(Struct):
     num_robots: int
     basis: Literal["model"]
     laws: WorldLaws
-    excess: Bounds | None = None
+    excess: TeamBounds | None = None
 
 
 def _laws_of(config: WorldConfig) -> dict[str, Any]:

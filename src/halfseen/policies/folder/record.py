@@ -27,7 +27,7 @@ Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 Counts = dict[str, int]
 
 
-class Seen(Struct):
+class SeenStates(Struct):
     """The states of some stages: ranges of numbers, and counts of the categories of text.
 
     Margins are how far below and above its range a number may lie by chance.
@@ -143,7 +143,7 @@ class Record(Struct):
     reg: dict[str, Any]
     versions: dict[str, Any]
     column_major: list[str]
-    seen: list[Seen]
+    seen: list[SeenStates]
     warnings: list[str] = []
     verdict: Verdict | None = None
     promise: Promise | None = None

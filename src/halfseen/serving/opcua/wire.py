@@ -25,7 +25,7 @@ from halfseen.serving.in_service import InService
 from halfseen.serving.models import Refusal, Wired
 from halfseen.serving.opcua.controller import LOST, Controller, Snapshot, connected
 from halfseen.serving.opcua.mapping import CellMapping
-from halfseen.serving.questions import Seen, seen_in_state
+from halfseen.serving.questions import AskedState, seen_in_state
 from halfseen.serving.recording import RecordedTrajectories
 from halfseen.serving.served import Served
 
@@ -210,6 +210,6 @@ class Wire:
         state = {**seen.covariates, "stage": stage}
         return (await self.served.decide(partial(self._seen, request, state))).action
 
-    def _seen(self, request: int, state: dict[str, Any], service: InService) -> Seen:
+    def _seen(self, request: int, state: dict[str, Any], service: InService) -> AskedState:
         seen = seen_in_state(service, state, self.recording.next_stage(), self.recording.last)
         return replace(seen, begun=replace(seen.begun, columns={**seen.begun.columns, REQUEST: request}))

@@ -4,9 +4,17 @@ from halfseen.study.experiment import Experiment
 from halfseen.study.experiments.attempts import Attempts
 from halfseen.study.experiments.censoring import Censoring
 from halfseen.study.experiments.clutter import Clutter
-from halfseen.study.experiments.grasp import Grasp
+from halfseen.study.experiments.grasp import GraspModels
 from halfseen.study.experiments.planning import Planning
 from halfseen.study.experiments.regret import Regret
 from halfseen.study.experiments.reward import Reward
 
-EXPERIMENTS: tuple[Experiment, ...] = (Reward(), Planning(), Censoring(), Grasp(), Attempts(), Clutter(), Regret())
+EXPERIMENTS: tuple[Experiment, ...] = (
+    Reward(),
+    Planning(),
+    Censoring(),
+    GraspModels(),
+    Attempts(),
+    Clutter(),
+    Regret(),
+)

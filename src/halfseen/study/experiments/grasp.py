@@ -61,7 +61,7 @@ NUM_BINS, FEWEST_SHOWN = 10, 100
 
 
 @dataclass(frozen=True)
-class Grasp:
+class GraspModels:
     """Models of the probability of a grasp, learned from logs of `num_trajectories`, of which `cut_share` are cut.
 
     All are scored on fresh trajectories, with some six attempts each: on as many as were learned from, at most
@@ -253,7 +253,7 @@ def _title(tests: pd.DataFrame) -> str:
     )
 
 
-def _draw(design: Grasp, tables: Tables, title: str) -> Figure:
+def _draw(design: GraspModels, tables: Tables, title: str) -> Figure:
     """Scores and calibration above, rewards below."""
     grasp, place = tables["grasp"], {"left": 0.07, "right": 0.985, "bottom": 0.07, "hspace": 0.36, "wspace": 0.18}
     figure, top, panels = figures.panels(title, (9.0, 7.6), (2, 2), 0.11, (False, False), **place)
@@ -299,7 +299,7 @@ def _decimals(measure: str) -> int:
 
 
 def _tests(setting: Setting, tests: pd.DataFrame) -> Listing:
-    caption = words(Grasp.name, "tests", setting=setting)
+    caption = words(GraspModels.name, "tests", setting=setting)
     cells: dict[str, Callable[[Row], str]] = {
         "logged trajectories": lambda row: str(row["num_trajectories"]),
         "SVM": lambda row: amount(row[CLAIMED], _decimals(row["measure"])),

@@ -25,7 +25,7 @@ from halfseen.study.compare import estimate_in, estimated_in, learned_from, mean
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Row, Section, Tables, words
 from halfseen.study.figures import INTERVAL
 from halfseen.study.pipeline import CUT_KIND, Played, Source, episodes_in_turn
-from halfseen.study.policies import HEURISTICS, LEARNED, Contender, Kind, by_name, horizon_planner, planner
+from halfseen.study.policies import HEURISTICS, LEARNED, Entrant, StudyKind, by_name, horizon_planner, planner
 from halfseen.study.setting import Setting
 from halfseen.wording import MISSING, Claim, amount, counted, listed, significant
 from halfseen.world.policy import Policy
@@ -72,12 +72,12 @@ class Planning:
         return {self._ahead(horizon).name: horizon for horizon in self.horizons}
 
     @property
-    def contenders(self) -> dict[str, Contender]:
+    def contenders(self) -> dict[str, Entrant]:
         """All contenders, by name."""
         planners = [planner(size) for size, _ in self.simulations] + [self._ahead(horizon) for horizon in self.horizons]
         return by_name(LEARNED, *HEURISTICS, *planners)
 
-    def _ahead(self, horizon: int) -> Contender:
+    def _ahead(self, horizon: int) -> Entrant:
         return horizon_planner(horizon, self.horizon_simulations)
 
     def prepare(self, setting: Setting) -> PieceOf:
@@ -257,7 +257,7 @@ def _draw_horizons(design: Planning, figure2: pd.DataFrame, figure3: pd.DataFram
     left, right = panels[0]
     horizons, steps = figure3["planning_horizon"].to_numpy(), figure3.iloc[1:]
     draw_bars(left, horizons, figure3[INTERVAL], color=PLANNER, marker="o", label="POMDP planner")
-    best = max(records(figure2, kind=str(Kind.HEURISTIC)), key=lambda row: row["mean_reward"])["policy"]
+    best = max(records(figure2, kind=str(StudyKind.HEURISTIC)), key=lambda row: row["mean_reward"])["policy"]
     for who in (LEARNED, design.contenders[best]):
         mean = float(row_of(figure2, policy=who.name)["mean_reward"])
         left.axhline(mean, color=who.colour, linestyle=(0, who.dashes), linewidth=1.5, zorder=1.2, label=who.label)

@@ -22,7 +22,7 @@ from halfseen.study import figures
 from halfseen.study.compare import estimated_in, learned_from, mean_columns, records, row_of, stacked
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Tables, words
 from halfseen.study.pipeline import CUT_KIND, EVALUATION, Source, random_key
-from halfseen.study.policies import HEURISTICS, LEARNED, OPTIMUM, Contender, Kind, by_name, horizon_planner
+from halfseen.study.policies import HEURISTICS, LEARNED, OPTIMUM, Entrant, StudyKind, by_name, horizon_planner
 from halfseen.study.setting import Setting
 from halfseen.wording import MISSING, Claim, amount, share
 from halfseen.world.config import WorldConfig
@@ -63,12 +63,12 @@ class Regret:
     name: ClassVar[str] = "regret"
 
     @property
-    def planners(self) -> list[Contender]:
+    def planners(self) -> list[Entrant]:
         """The planners."""
         return [horizon_planner(h, self.planner_simulations) for h in self.planner_horizons]
 
     @property
-    def contenders(self) -> dict[str, Contender]:
+    def contenders(self) -> dict[str, Entrant]:
         """All contenders, by name."""
         return by_name(LEARNED, *self.planners, *HEURISTICS, OPTIMUM)
 
@@ -193,8 +193,8 @@ def _table(pieces: Pieces) -> pd.DataFrame:
 def claim_of(design: Regret, table: pd.DataFrame) -> Claim:
     """Claim that the policy learned from the largest log has less regret than the best heuristic, which is exact."""
     end = _end(design, table)
-    best = _best(design, table, Kind.HEURISTIC)
-    rule, planner = (float(each["regret"]) for each in (best, _best(design, table, Kind.PLANNER)))
+    best = _best(design, table, StudyKind.HEURISTIC)
+    rule, planner = (float(each["regret"]) for each in (best, _best(design, table, StudyKind.PLANNER)))
     gain = Estimate(rule - end["regret"], rule - end["high"], rule - end["low"], end["se"], float(end["repetitions"]))
     return Claim(
         f"The policy {learned_from(int(end['num_trajectories']), design.told_cut_share)}",
@@ -210,7 +210,7 @@ def _end(design: Regret, table: pd.DataFrame) -> dict[str, Any]:
     return row_of(table, num_trajectories=max(design.num_trajectories), cut_share=design.told_cut_share)
 
 
-def _best(design: Regret, table: pd.DataFrame, kind: Kind) -> dict[str, Any]:
+def _best(design: Regret, table: pd.DataFrame, kind: StudyKind) -> dict[str, Any]:
     """Policy of a kind with the least regret; the first of those tied."""
     rows = [row for row in records(table) if design.contenders[row["policy"]].kind == kind]
     return min(rows, key=lambda row: row["regret"])
@@ -225,7 +225,7 @@ def _draw(design: Regret, table: pd.DataFrame, title: str) -> Figure:
     figure = Figure(figsize=(WIDTH_INCHES, 5.6))
     top = write_title(figure, title) - 0.08
     axes = figure.add_axes((0.07, 0.10, 0.58, top - 0.10))
-    best = [_best(design, table, kind)["policy"] for kind in (Kind.HEURISTIC, Kind.PLANNER)]
+    best = [_best(design, table, kind)["policy"] for kind in (StudyKind.HEURISTIC, StudyKind.PLANNER)]
     labels = [
         figures.draw_level(axes, design.contenders[row["policy"]], float(row["regret"]), row["policy"] in best)
         for row in records(table)

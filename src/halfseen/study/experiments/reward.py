@@ -299,14 +299,14 @@ class Figure1:
                 axes.axhspan(low, high, color=who.colour, alpha=BAND_OPACITY, linewidth=0, zorder=1)
         return labels
 
-    def _curve(self, axes: Axes, who: policies.Contender, columns: list[str], marker: str) -> EndLabel:
+    def _curve(self, axes: Axes, who: policies.Entrant, columns: list[str], marker: str) -> EndLabel:
         """Draw a policy that uses logs, as the mean over the proportions of cut trajectories."""
         means = where(self.table, policy=who.name, cut_share=None)
         look: dict[str, Any] = {"color": who.colour, "marker": marker, "linestyle": (0, who.dashes)}
         draw_curve(axes, means["num_trajectories"], means[columns], **look)
         return self._label(who, float(means[columns[0]].iloc[-1]))
 
-    def _label(self, who: policies.Contender, end: float, is_bold: bool = False) -> EndLabel:
+    def _label(self, who: policies.Entrant, end: float, is_bold: bool = False) -> EndLabel:
         return EndLabel(end, f"{who.label}  {amount(end)}{self.ms[who.name]}", who.colour, is_bold)
 
 

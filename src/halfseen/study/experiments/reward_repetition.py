@@ -26,7 +26,7 @@ from halfseen.study import policies as who
 from halfseen.study.compare import adjusted, better, four, mean_columns, signed_rank_test, stacked
 from halfseen.study.experiment import PieceOf, Pieces, Row, Tables
 from halfseen.study.pipeline import CUT_KIND, SELECTION, Learned, Played, Source, episodes_in_turn, log_of
-from halfseen.study.policies import BEST, FITTED_ONE_STEP, FITTED_RULE, HEURISTICS, LEARNED, LINEAR, ONE_STEP, Contender
+from halfseen.study.policies import BEST, FITTED_ONE_STEP, FITTED_RULE, HEURISTICS, LEARNED, LINEAR, ONE_STEP, Entrant
 from halfseen.study.setting import Setting
 from halfseen.tables.evidence import evidence_of
 from halfseen.tables.laws import fitted_to
@@ -83,14 +83,14 @@ class RewardRepetition:
                 raise ArgumentError(f"{name} is {value}; give one of {among}, {values}")
 
     @property
-    def contenders(self) -> dict[str, Contender]:
+    def contenders(self) -> dict[str, Entrant]:
         """All contenders, by name."""
         linear = (LINEAR,) if self.laws else ()
         planners = [who.planner(size) for size, _ in self.planners]
         return who.by_name(LEARNED, *linear, *planners, ONE_STEP, self.peer, FITTED_ONE_STEP, FITTED_RULE, *HEURISTICS)
 
     @property
-    def peer(self) -> Contender:
+    def peer(self) -> Entrant:
         """The planner whose laws are fitted to the logs that the policy is learned from."""
         return who.fitted_planner(self.planners[0][0])
 
