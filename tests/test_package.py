@@ -34,7 +34,7 @@ def test_a_package_loads_nothing_heavy_that_it_does_not_need():
 def test_lazy_names_are_listed_and_unknown_ones_are_told():
     failed = run(f"import halfseen.world as package\n{EVERY_NAME}\npackage.Wrold", check=False)
     assert "has no attribute 'Wrold'; it has ActionSpace, " in failed.stderr
-    assert "Decision, Explanation, ExploringPolicy, " in failed.stderr
+    assert "Attempt, Explanation, ExploringPolicy, " in failed.stderr
 
 
 @pytest.mark.slow

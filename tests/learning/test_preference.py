@@ -39,7 +39,8 @@ def test_the_choice_is_that_of_scikit_learn_at_the_ridge_that_predicts_best(has_
     trajectories = laid_out(
         Logs(log.stages.assign(probability=probability), log.trajectories) if has_probability else log
     )
-    weight = (probability / probability.max()) ** 4 if has_probability else np.ones(80)
+    sure = (probability - 0.1) / 0.9 + 0.05
+    weight = (sure / sure.max()) ** 4 if has_probability else np.ones(80)
     x, taken = trajectories.features[:, 0, 0, :], trajectories.action[:, 0]
     design = np.column_stack([np.ones(len(x)), (x - x.mean()) / x.std()])
     fold, likelihood = np.arange(len(x)) % 5, []
@@ -77,6 +78,20 @@ def test_what_was_only_explored_is_no_preference():
     found = [(preference_of(laid_out(one), 200).behaviour @ at.T).argmax(axis=0) for one in (known, log)]
     near = [float(np.mean(np.abs(each - nearest) <= 1)) for each in found]
     assert near[0] > near[1] + 0.1
+
+
+def test_a_log_of_chance_alone_prefers_nothing_where_few_actions_are_possible():
+    """By chance, an action of three has a larger probability than one of ten, which is no preference."""
+    log = preferring(3, likes=0.0)
+    is_few = np.arange(80) % 2 == 0
+    trajectories = laid_out(log)
+    possible = trajectories.is_possible.copy()
+    possible[is_few, :, 3:] = False
+    possible[np.arange(80), 0, trajectories.action[:, 0]] = True
+    probability = 1.0 / possible.sum(axis=2)
+    some = trajectories._replace(encoded=trajectories.encoded._replace(is_possible=possible))
+    expected, found = preference_of(some, 80), preference_of(some._replace(probability=probability), 80)
+    np.testing.assert_allclose(found.behaviour, expected.behaviour, atol=1e-6)
 
 
 def test_advantages_are_those_of_a_loop():

@@ -222,12 +222,12 @@ def test_states_are_names_or_numbers(logs):
 def test_its_verdict_is_better_where_that_is_so_and_says_by_how_much(logs):
     few = held_out_verdict(learner_of().fit(logs), logs)
     assert few.verdict == "inconclusive"
-    assert "times a state, and 10 are needed" in few.reason
+    assert "times a state, but 10 are needed" in few.reason
     logs = text_log(2500, colours=COLOURS)
     verdict = held_out_verdict(learner_of().fit(logs), logs)
     assert verdict.verdict == "better"
     # B is worth 2 more than A where it is right, and the log chose by a coin, in two stages.
-    assert "more than what made the log (95% interval 1." in verdict.reason
+    assert "more than the logging policy (95% interval 1." in verdict.reason
     with_nothing = type(logs)(logs.stages.assign(reward=logs.stages["reward"] * 0.0 + 1.0), logs.trajectories)
     assert held_out_verdict(learner_of().fit(with_nothing), with_nothing).verdict == "inconclusive"
 

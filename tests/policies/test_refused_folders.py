@@ -243,7 +243,7 @@ def test_what_is_there_is_replaced_only_when_asked_and_only_a_policy(written, lo
 
 def test_a_failure_on_the_way_leaves_what_was_there(written, logs, fitted, monkeypatch):
     before = (written / RECORD).read_bytes()
-    monkeypatch.setattr("halfseen.policies.folder.files.Kind.digests", "no/such/folder")
+    monkeypatch.setattr("halfseen.policies.folder.files.FolderKind.digests", "no/such/folder")
     with pytest.raises(ArgumentError, match="cannot be written"):
         write_policy(fitted["flat"], logs["flat"], written, overwrite=True)
     assert (written / RECORD).read_bytes() == before

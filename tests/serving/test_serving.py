@@ -281,7 +281,7 @@ def test_the_description_tells_what_can_be_asked(asked):
     taken = resolved(api, content)
     assert set(taken["required"]) == {"x1", "x2"}
     assert "maximum" not in taken["properties"]["stage"]
-    assert api["components"]["schemas"]["Decided"]["properties"]["action"]["enum"] == ["A", "B", "C"]
+    assert api["components"]["schemas"]["DecisionAnswer"]["properties"]["action"]["enum"] == ["A", "B", "C"]
     (example,) = taken["examples"]
     assert asked.post("/decide", json=example).status_code == 200
     assert list(api["paths"]) == ["/decide", "/reload", "/health", "/state"]

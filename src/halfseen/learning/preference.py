@@ -8,8 +8,8 @@ is the mode of the policy whose Q is regularised by the Kullback–Leibler diver
 quantities are estimated:
 
 - *b* is a multinomial logit, shrunk towards uniform choice by the penalty that predicts held-out trajectories best. A
-  log of uniform choices has no preference. If the log holds the probability of each action taken, its fourth power is
-  the weight of the stage: an action that was only explored says little about what the log prefers (`logging_rule`).
+  log of uniform choices has no preference. If the log holds the probability of each action taken, stages count by its
+  excess over chance: an action that was only explored says little about what the log prefers.
 - *τ* = 2 σ √(p / n_a), two standard errors of Q: σ is the noise of its targets, p the number of coefficients of an
   action, n_a its mean number of completed stages; at most 2 σ. It vanishes as a log grows.
 - *Trust*: following b must not have hurt. The advantage A_t = R_t + V̂(S_{t+1}) − V̂(S_t) of the logged action, V̂ the
@@ -33,8 +33,8 @@ VALUE_RIDGE = 3.0
 """Ridge penalty of V̂."""
 STANDARD_ERRORS = 2.0
 """τ in standard errors of Q."""
-POWER = 4
-"""Exponent of the logged probability in the weights (`benchmarks/many_actions.py`)."""
+LEAST, POWER = 0.05, 4
+"""Excess over chance that is added to each row's, and exponent of the sum, in the weights."""
 
 
 class Preference(NamedTuple):
@@ -93,7 +93,7 @@ def preference_of(trajectories: TrajectoryArrays, num_completed: int) -> Prefere
     covariates = trajectories.features[..., 0, :]
     mean, scale = mean_and_scale(covariates[known])
     standard = np.where(trajectories.is_begun[..., None], (covariates - mean) / scale, 0.0)
-    weight = _weights(trajectories.probability[known])
+    weight = _weights(trajectories.probability[known], trajectories.is_possible[known])
     choices = _Choices(standard[known], trajectories.is_possible[known], trajectories.action[known], weight)
     fold = np.broadcast_to(np.arange(len(known))[:, None] % NUM_FOLDS, known.shape)[known]
     ridge, held_out = _held_out(choices, fold)
@@ -108,10 +108,18 @@ def preference_of(trajectories: TrajectoryArrays, num_completed: int) -> Prefere
     return Preference(unscaled(beta, mean, scale), trust * STANDARD_ERRORS * noise * share**0.5)
 
 
-def _weights(probability: Float[np.ndarray, " rows"]) -> Float[np.ndarray, " rows"]:
-    """Weights b(A | S)⁴, relative to the largest; 0 where b is not known, and 1 if it is known nowhere."""
-    likely = np.nan_to_num(probability)
-    return (likely / likely.max()) ** POWER if likely.any() else np.ones(len(likely))
+def _weights(
+    probability: Float[np.ndarray, " rows"], is_possible: Bool[np.ndarray, "rows A"]
+) -> Float[np.ndarray, " rows"]:
+    """Weights (e + `LEAST`)⁴, relative to the largest; 0 where b is not known, and 1 if it is known nowhere.
+
+    e is the excess of b(A | S) over chance, as in `excess_propensity`; 0 where only one action is possible.
+    """
+    num = is_possible.sum(axis=1)
+    chance, is_known = 1.0 / np.maximum(num, 2), np.isfinite(probability)
+    excess = np.where(num > 1, np.clip((probability - chance) / (1.0 - chance), 0.0, 1.0), 0.0)
+    sure = np.where(is_known, excess + LEAST, 0.0)
+    return (sure / sure.max()) ** POWER if is_known.any() else np.ones(len(sure))
 
 
 def advantages(trajectories: TrajectoryArrays, covariates: Float[np.ndarray, "n T F"]) -> Float[np.ndarray, "n T"]:

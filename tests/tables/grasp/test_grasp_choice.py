@@ -280,7 +280,7 @@ def test_it_comes_back_from_a_folder_and_what_does_not_fit_is_refused():
     without = {name: each for name, each in arrays.items() if name != "own.grasp.per_grip"}
     twos = {**arrays, "own.grasp.chances": arrays["own.grasp.chances"] * 0.0 + 2.0}
     for given, num_robots, told in (
-        (arrays, 3, "asks for float32 of shape"),
+        (arrays, 3, "the schema needs float32 of shape"),
         (without, 2, "'own.grasp.per_grip' is missing"),
         (twos, 2, "'own.grasp.chances' holds 2.0"),
     ):
