@@ -55,6 +55,7 @@ def told(found: Evaluation) -> dict[str, Any]:
     main = deciding(found.comparisons)
     is_known = main.difference is not None and main.p is not None
     advice = main.needed if is_known else None
+    factors = None if advice is None else (advice.times, advice.low, advice.high)
     return {
         "verdict": found.verdict,
         "value": found.difference.value,
@@ -63,7 +64,7 @@ def told(found: Evaluation) -> dict[str, Any]:
         "bias": found.difference.bias,
         "effective_sample_size": found.difference.effective_sample_size,
         "fitted_q": found.fitted_q.value - found.logging.value,
-        "needed": None if advice is None else [times * found.num_trajectories for times in advice[:3]],
+        "needed": None if factors is None else [each * found.num_trajectories for each in factors],
     }
 
 

@@ -8,8 +8,8 @@ is the mode of the policy whose Q is regularised by the Kullback–Leibler diver
 quantities are estimated:
 
 - *b* is a multinomial logit, shrunk towards uniform choice by the penalty that predicts held-out trajectories best. A
-  log of uniform choices has no preference. If the log holds the probability of each action taken, stages count by its
-  excess over chance: an action that was only explored says little about what the log prefers.
+  log of uniform choices has no preference. If the logged probabilities tell apart what was preferred and what was only
+  explored, b is fitted to the former.
 - *τ* = 2 σ √(p / n_a), two standard errors of Q: σ is the noise of its targets, p the number of coefficients of an
   action, n_a its mean number of completed stages; at most 2 σ. It vanishes as a log grows.
 - *Trust*: following b must not have hurt. The advantage A_t = R_t + V̂(S_{t+1}) − V̂(S_t) of the logged action, V̂ the
@@ -33,8 +33,8 @@ VALUE_RIDGE = 3.0
 """Ridge penalty of V̂."""
 STANDARD_ERRORS = 2.0
 """τ in standard errors of Q."""
-LEAST, POWER = 0.05, 4
-"""Excess over chance that is added to each row's, and exponent of the sum, in the weights."""
+CLEARLY, ABOUT = 2.0, 0.1
+"""Factor of a probability over chance that shows a preference, and tolerance of its number of actions in a state."""
 
 
 class Preference(NamedTuple):
@@ -111,15 +111,17 @@ def preference_of(trajectories: TrajectoryArrays, num_completed: int) -> Prefere
 def _weights(
     probability: Float[np.ndarray, " rows"], is_possible: Bool[np.ndarray, "rows A"]
 ) -> Float[np.ndarray, " rows"]:
-    """Weights (e + `LEAST`)⁴, relative to the largest; 0 where b is not known, and 1 if it is known nowhere.
+    """1 for stages in which the log did what it prefers, 0 where it explored; 1 for all if that cannot be told.
 
-    e is the excess of b(A | S) over chance, as in `excess_propensity`; 0 where only one action is possible.
+    It can if every state has one action that is `CLEARLY` times as probable as chance, so that N = 1, with N the mean
+    of 1{b(A | S) is so large} / b(A | S), up to `ABOUT` and two standard errors.
     """
-    num = is_possible.sum(axis=1)
-    chance, is_known = 1.0 / np.maximum(num, 2), np.isfinite(probability)
-    excess = np.where(num > 1, np.clip((probability - chance) / (1.0 - chance), 0.0, 1.0), 0.0)
-    sure = np.where(is_known, excess + LEAST, 0.0)
-    return (sure / sure.max()) ** POWER if is_known.any() else np.ones(len(sure))
+    likely, chance = np.nan_to_num(probability), 1.0 / np.maximum(is_possible.sum(axis=1), 1)
+    is_preferred = likely > CLEARLY * chance
+    number = np.where(is_preferred, 1.0 / np.where(is_preferred, likely, 1.0), 0.0)
+    error = number.std() / np.sqrt(len(number))
+    is_told = is_preferred.any() and abs(number.mean() - 1.0) <= ABOUT + 2.0 * error
+    return is_preferred.astype(np.float64) if is_told else np.ones(len(likely))
 
 
 def advantages(trajectories: TrajectoryArrays, covariates: Float[np.ndarray, "n T F"]) -> Float[np.ndarray, "n T"]:
