@@ -268,7 +268,7 @@ def test_refuses_exactly_those_whose_likelihood_has_no_maximum(ties):
             Cox(ties).fit(time, is_finished, covariates)
             refused = False
         except ArgumentError as error:
-            if "runs off to infinity" not in str(error):
+            if "its coefficient diverges" not in str(error):
                 continue
             refused = True
         assert refused == is_separated(time, is_finished, covariates)

@@ -113,7 +113,7 @@ def test_values_come_with_doubts_and_go_with_types():
             for more, told in (
                 (
                     {"age_s": 3600.0},
-                    r"x1 is 3(599|6\d\d)\.\d s old, and 600 s are allowed",
+                    r"x1 is 3(599|6\d\d)\.\d s old, but only 600 s are allowed",
                 ),  # the clock ticks each second
                 ({"StatusCode": ua.StatusCode(codes.BadSensorFailure)}, "x1 has the quality BadSensorFailure"),
                 ({"StatusCode": ua.StatusCode(codes.UncertainLastUsableValue)}, "x1 has the quality Uncertain"),
@@ -147,7 +147,7 @@ def test_what_is_not_there_is_told(flat):
             for changes, line in (
                 ({"covariates": {"x1": "Cell/x9"}}, "covariates.x1: the controller has no 'Cell/x9' below Objects"),
                 ({"namespaces": {"cell": "urn:other"}}, "request: the controller has no namespace 'urn:other'"),
-                ({"actions": {}}, "action is 'A', but its variable takes Int32"),
+                ({"actions": {}}, "action is 'A', and its variable takes Int32"),
             ):
                 with pytest.raises(ArgumentError, match=line):
                     await Wire(Served(flat), url, msgspec.structs.replace(MAPPING, **changes)).check()

@@ -145,7 +145,7 @@ def test_under_the_law_of_a_cell_everything_runs_and_says_so(tmp_path):
         setting, scenes=tuple(replace(scene, grip=np.linspace(-2, 0, scene.num_objects)) for scene in SETTING.scenes)
     )
     results = run_study(setting, tmp_path, OF_LAW, workers=Workers(1))
-    assert "is estimated, not assumed" in results.answer[-1]
+    assert "are estimated, not assumed" in results.answer[-1]
     told = pd.read_csv(tmp_path / "map.csv")
     assert told["is_assumed"].tolist() == [False] * 4 + [True] * 2
     assert sorted(set(told["labels"])) == pytest.approx(sorted({0.3, law.seeing.facing}))
