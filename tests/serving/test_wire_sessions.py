@@ -117,7 +117,7 @@ def test_values_come_with_doubts_and_go_with_types():
                 ),  # the clock ticks each second
                 ({"StatusCode": ua.StatusCode(codes.BadSensorFailure)}, "x1 has the quality BadSensorFailure"),
                 ({"StatusCode": ua.StatusCode(codes.UncertainLastUsableValue)}, "x1 has the quality Uncertain"),
-                ({"SourceTimestamp": None}, "x1 has no time stamp"),
+                ({"SourceTimestamp": None}, "x1 has no timestamp"),
                 ({"value": [0.1, 0.2]}, "x1 is an array"),
             ):
                 await put(nodes["x1"], more.pop("value", 0.1), TYPES["x1"], **more)
@@ -126,7 +126,7 @@ def test_values_come_with_doubts_and_go_with_types():
                     seen["covariates.x1"]
             await controller.write({"action": 8, "decision": 3, "error": "is mapped to nothing"})
             assert [await nodes[name].read_value() for name in ("action", "decision")] == [8, 3]
-            with pytest.raises(ArgumentError, match="action is 'B', but its variable takes Int32; give codes"):
+            with pytest.raises(ArgumentError, match="action is 'B', and its variable takes Int32; give codes"):
                 controller.typed("action", "B")
             with pytest.raises(
                 ArgumentError, match="action is 2147483648, but its variable takes Int32; give it a type"
@@ -152,7 +152,7 @@ def test_what_is_not_there_is_told(flat):
                 with pytest.raises(ArgumentError, match=line):
                     await Wire(Served(flat), url, msgspec.structs.replace(MAPPING, **changes)).check()
         await Wire(Served(flat), url, MAPPING, tell=told.append).check()
-        assert told[0].startswith(f"{url}: nobody answers")
+        assert told[0].startswith(f"{url}: no answer")
 
     asyncio.run(main())
 
