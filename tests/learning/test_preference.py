@@ -8,18 +8,18 @@ import pytest
 from trials import log_of
 
 from halfseen.learning import CensoredQLearner
-from halfseen.learning.preference import RIDGES, advantages, preference_of
+from halfseen.learning.preference import RIDGES, Stacked, advantages, stacked, with_preference
 from halfseen.logs import Logs
 
 ACTIONS = [f"a{a}" for a in range(10)]
 
 
-def preferring(seed, n=80, likes=1.0, pays=1.0, horizon=1):
-    """Action k is best where x is nearest to k; the log takes it with the odds exp(likes · how near)."""
+def preferring(seed, n=80, likes=1.0, pays=1.0, horizon=1, misses=0.0):
+    """Action k is best where x is nearest to k; the log takes it with the odds exp(likes · how near, up to misses)."""
     rng = np.random.default_rng(seed)
     x = rng.uniform(-0.5, 9.5, n * horizon)
     near = -0.5 * np.abs(x[:, None] - np.arange(10))
-    odds = np.exp(likes * near)
+    odds = np.exp(-0.5 * likes * np.abs(x[:, None] + misses - np.arange(10)))
     chances = (odds / odds.sum(axis=1, keepdims=True)).cumsum(axis=1)
     action = np.minimum((rng.random((len(x), 1)) > chances).sum(axis=1), 9)
     reward = pays * near[np.arange(len(x)), action] + rng.normal(size=len(x))
@@ -27,8 +27,12 @@ def preferring(seed, n=80, likes=1.0, pays=1.0, horizon=1):
 
 
 def laid_out(log):
-    model = CensoredQLearner(log.horizon, ACTIONS, ["x"]).compose(log)
-    return model.with_task([log], log).lay_out(log)
+    """The model of the log, fitted but for what the log prefers, and the log's arrays."""
+    return CensoredQLearner(log.horizon, ACTIONS, ["x"]).compose(log).fitted(log)
+
+
+def preference_of(log):
+    return with_preference(*laid_out(log))[0]
 
 
 @pytest.mark.parametrize("has_probability", [False, True])
@@ -37,9 +41,8 @@ def test_the_choice_is_that_of_scikit_learn_at_the_ridge_that_predicts_best(has_
 
     log, is_rule = preferring(0), np.random.default_rng(1).random(80) < 0.8
     probability = np.where(is_rule, 0.8, 0.02)
-    trajectories = laid_out(
-        Logs(log.stages.assign(probability=probability), log.trajectories) if has_probability else log
-    )
+    log = Logs(log.stages.assign(probability=probability), log.trajectories) if has_probability else log
+    model, trajectories = laid_out(log)
     weight = is_rule.astype(float) if has_probability else np.ones(80)
     x, taken = trajectories.features[:, 0, 0, :], trajectories.action[:, 0]
     design = np.column_stack([np.ones(len(x)), (x - x.mean()) / x.std()])
@@ -63,7 +66,7 @@ def test_the_choice_is_that_of_scikit_learn_at_the_ridge_that_predicts_best(has_
     best = peer(RIDGES[int(np.argmax(likelihood))], fold >= 0).coef_
     slopes = best[:, 1] / x.std()
     expected = np.column_stack([best[:, 0] - slopes * x.mean(), slopes])
-    np.testing.assert_allclose(preference_of(trajectories, 80).behaviour, expected, atol=2e-3)
+    np.testing.assert_allclose(with_preference(model, trajectories)[0].behaviour, expected, atol=2e-3)
 
 
 def test_what_was_only_explored_is_no_preference():
@@ -75,7 +78,7 @@ def test_what_was_only_explored_is_no_preference():
     log = log_of([f"a{a}" for a in action], rng.normal(size=200), x=x)
     known = Logs(log.stages.assign(probability=np.where(action == nearest, 0.55, 0.05)), log.trajectories)
     at = np.column_stack([np.ones(200), x])
-    found = [(preference_of(laid_out(one), 200).behaviour @ at.T).argmax(axis=0) for one in (known, log)]
+    found = [(preference_of(one).behaviour @ at.T).argmax(axis=0) for one in (known, log)]
     near = [float(np.mean(np.abs(each - nearest) <= 1)) for each in found]
     assert near[0] > near[1] + 0.1
 
@@ -85,7 +88,7 @@ def test_a_log_of_chance_alone_prefers_nothing(chance):
     """Chance among fewer actions than are known to be possible is no preference either."""
     log = preferring(3, likes=0.0)
     known = Logs(log.stages.assign(probability=chance), log.trajectories)
-    found = [preference_of(laid_out(one), 80).behaviour for one in (log, known)]
+    found = [preference_of(one).behaviour for one in (log, known)]
     np.testing.assert_array_equal(*found)
 
 
@@ -99,7 +102,7 @@ def test_advantages_are_those_of_a_loop():
         "x": [0.3, -1.0, 0.7, 1.2, -0.4, 0.1],
     }
     ends = {"trajectory": [0, 1, 2], "end_s": [3.0, 1.5, 1.0], "ending": ["finished", "cut", "finished"]}
-    trajectories = laid_out(Logs(stages=stages, trajectories=ends))
+    _, trajectories = laid_out(Logs(stages=stages, trajectories=ends))
     x = np.array([[0.3, -1.0, 0.7], [1.2, -0.4, 0.0], [0.1, 0.0, 0.0]])
     reward, followed = [[1.0, -2.0, 0.5], [3.0], [2.0]], [[True, True, False], [True], [False]]
 
@@ -120,19 +123,49 @@ def test_advantages_are_those_of_a_loop():
     np.testing.assert_allclose(advantages(trajectories, x[..., None]), expected, atol=1e-10)
 
 
-def test_it_counts_for_two_standard_errors_and_vanishes_as_a_log_grows():
-    trajectories = laid_out(preferring(1))
+def test_stacking_is_least_squares_with_errors_by_trajectory():
+    rng = np.random.default_rng(4)
+    of_trajectory, leads = np.repeat(np.arange(30), 3), rng.normal(size=(90, 2))
+    advantage = leads @ [0.5, 2.0] + np.repeat(rng.normal(size=30), 3)
+    expected = np.linalg.lstsq(leads, advantage, rcond=None)[0]
+    bread, meat = np.linalg.inv(leads.T @ leads), np.zeros((2, 2))
+    for i in range(30):
+        own = of_trajectory == i
+        score = leads[own].T @ (advantage[own] - leads[own] @ expected)
+        meat += np.outer(score, score)
+    found = stacked(leads, advantage, of_trajectory)
+    np.testing.assert_allclose(found.coefficients, expected)
+    np.testing.assert_allclose(found.errors, np.sqrt(np.diag(bread @ meat @ bread)))
+
+
+@pytest.mark.parametrize(
+    ("coefficients", "expected"),
+    [((1.0, 3.0), 4.0 / 0.8), ((1.0, -3.0), 0.0), ((0.1, 3.0), 7.0), ((0.1, -3.0), 0.0), ((0.3, 3.0), 7.0)],
+    ids=["both", "the log is wrong", "Q says nothing", "neither", "at most"],
+)
+def test_in_doubt_the_log_is_followed(coefficients, expected):
+    assert Stacked(np.array(coefficients), np.array([0.1, 0.5])).weight(most=7.0) == pytest.approx(expected)
+
+
+def test_it_counts_less_as_a_log_grows():
+    logs = [preferring(0, n=n, misses=2.0) for n in (40, 400, 4000)]
+    weight = [preference_of(log).behaviour_weight for log in logs]
+    assert weight[0] > 2.0 * weight[1] > 4.0 * weight[2]
+
+
+def test_a_log_too_short_to_hold_out_is_followed():
+    log = preferring(1, n=12)
+    model, trajectories = laid_out(log)
     x = trajectories.features[..., 0, :]
     noise = np.sqrt(np.mean(advantages(trajectories, (x - x.mean()) / x.std()) ** 2))
-    weight = [preference_of(trajectories, num).behaviour_weight for num in (10, 20, 80, 8_000_000)]
-    np.testing.assert_allclose(weight, 2.0 * noise * np.sqrt([1.0, 1.0, 20 / 80, 20 / 8e6]))
+    assert with_preference(model, trajectories)[0].behaviour_weight == pytest.approx(2.0 * noise)
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_log_that_does_what_hurts_is_not_followed(seed):
     learner = CensoredQLearner(1, ACTIONS, ["x"]).fit(preferring(seed, pays=-3.0))
     assert learner.policy_.behaviour_weight == 0
-    assert "has no weight" in learner.chosen_[0]
+    assert "has no weight" in learner.chosen_[-1]
     assert CensoredQLearner(1, ACTIONS, ["x"]).fit(preferring(seed)).policy_.behaviour_weight > 0
 
 
@@ -143,7 +176,7 @@ def test_scores_are_q_less_margins_and_what_the_log_prefers():
     prefers = utility - np.log(np.exp(utility).sum(axis=1, keepdims=True))
     without = replace(policy, behaviour_weight=0.0).scores(frame, 1)
     np.testing.assert_allclose(policy.scores(frame, 1), without + policy.behaviour_weight * prefers)
-    assert "of reward for each factor of e" in learner.chosen_[0]
+    assert "of reward for each factor of e" in learner.chosen_[-1]
 
 
 def worth(policy):

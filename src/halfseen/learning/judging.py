@@ -56,15 +56,27 @@ def judged(
     reward: Float[np.ndarray, "n T"],
 ) -> FittedValues:
     """Evaluate each stage by its own Q, with rewards as logged; those of `log` may be variance-reduced."""
-    in_order = slice(None, None, -1 if stages == "pooled" else 1)
-    each = zip(fits.coefficients[in_order], np.moveaxis(log.features, 1, 0), strict=True)
-    q = np.stack([q_values(of_stage, features, block_of_action) for of_stage, features in each], axis=1)
+    in_order = _in_order(stages)
+    q = q_of_stages(fits, log, block_of_action, stages)
     value = _values(q, log)
     taken = np.take_along_axis(q, log.action[..., None], axis=2)[..., 0]
     target = targets(log._replace(reward=reward), value)
     if fits.outcome is not None:
         target = _imputed(log, fits.outcome[in_order], target, block_of_action)
     return FittedValues(value, taken, target)
+
+
+def q_of_stages(
+    fits: QFunctions, log: Transitions, block_of_action: Int[np.ndarray, " A"], stages: StageMode
+) -> Float[np.ndarray, "n T A"]:
+    """Q̂ of every action in each stage, by the stage's own Q."""
+    each = zip(fits.coefficients[_in_order(stages)], np.moveaxis(log.features, 1, 0), strict=True)
+    return np.stack([q_values(of_stage, features, block_of_action) for of_stage, features in each], axis=1)
+
+
+def _in_order(stages: StageMode) -> slice:
+    """Order of the Q-functions by stage."""
+    return slice(None, None, -1 if stages == "pooled" else 1)
 
 
 def _values(q: Float[np.ndarray, "n T A"], log: Transitions) -> Float[np.ndarray, "n T"]:

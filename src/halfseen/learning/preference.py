@@ -10,40 +10,38 @@ quantities are estimated:
 - *b* is a multinomial logit, shrunk towards uniform choice by the penalty that predicts held-out trajectories best. A
   log of uniform choices has no preference. If the logged probabilities tell apart what was preferred and what was only
   explored, b is fitted to the former.
-- *τ* = 2 σ √(p / n_a), two standard errors of Q: σ is the noise of its targets, p the number of coefficients of an
-  action, n_a its mean number of completed stages; at most 2 σ. It vanishes as a log grows.
-- *Trust*: following b must not have hurt. The advantage A_t = R_t + V̂(S_{t+1}) − V̂(S_t) of the logged action, V̂ the
-  value of b by least squares [BradtkeBarto1996]_, is correlated with how much b, fitted to other trajectories,
-  preferred that action. Let z be the sum of the products divided by its standard error over trajectories: τ counts
-  fully where z ≥ 0, and not at all where z ≤ −1.
+- *τ* weighs two predictors of what an action earns. The advantage A_t = R_t + V̂(S_{t+1}) − V̂(S_t) of the logged
+  action, V̂ the value of the logging policy by least squares [BradtkeBarto1996]_, is regressed on how far the action
+  leads the log's average one in Q̂ and in log b, both fitted to other trajectories [Breiman1996]_:
+
+      A_t ≈ c · lead of Q̂ + κ · lead of log b,    τ = (κ + 2 s_κ)⁺ / (c − 2 s_c),
+
+  with standard errors s over trajectories, so that in doubt the log is followed. τ is at most 2 σ, σ² the mean of A_t²,
+  and 2 σ if c is not clearly positive.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from halfseen.learning.behaviour import log_chances, mean_and_scale, unscaled
+from halfseen.learning.judging import FEWEST_HELD_OUT, q_of_stages
+from halfseen.learning.q_model import QModel
+from halfseen.learning.recursion import fit_q
 from halfseen.learning.rows import TrajectoryArrays
 from halfseen.shapes import Bool, Float, Int
+from halfseen.workers.threads import one_thread
 
 RIDGES = (256.0, 64.0, 16.0, 4.0, 1.0)
 """Penalties ½·ridge·‖β‖² on standardised covariates and intercepts, added to a summed log-likelihood."""
-NUM_FOLDS = 5
+NUM_FOLDS, NUM_FOLDS_OF_Q = 5, 2
 VALUE_RIDGE = 3.0
 """Ridge penalty of V̂."""
 STANDARD_ERRORS = 2.0
-"""τ in standard errors of Q."""
+"""By which κ is raised and c lowered; and σ in the largest τ."""
 CLEARLY, ABOUT = 2.0, 0.1
 """Factor of a probability over chance that shows a preference, and tolerance of its number of actions in a state."""
-
-
-class Preference(NamedTuple):
-    """The behaviour policy and the weight of its preference."""
-
-    behaviour: Float[np.ndarray, "A F1"]
-    """Coefficients of b on the covariates, the intercept first."""
-    behaviour_weight: float
-    """τ [reward per nat]; 0 if following b has hurt."""
 
 
 class _Choices(NamedTuple):
@@ -80,32 +78,81 @@ class _Choices(NamedTuple):
         first = np.zeros(shape) if start is None else start
         return scipy.optimize.minimize(loss_and_slope, first.ravel(), jac=True, method="L-BFGS-B").x.reshape(shape)
 
-    def lead(self, log_chance: Float[np.ndarray, "rows A"]) -> Float[np.ndarray, " rows"]:
-        """Log probability of the action taken, less its mean under the policy [nat]."""
-        finite = np.where(self.is_possible, log_chance, 0.0)
-        expected = (np.where(self.is_possible, np.exp(log_chance), 0.0) * finite).sum(axis=1)
-        return log_chance[np.arange(len(log_chance)), self.taken] - expected
+    def lead(
+        self, each: Float[np.ndarray, "rows A"], log_chance: Float[np.ndarray, "rows A"]
+    ) -> Float[np.ndarray, " rows"]:
+        """Value of the action taken, less its mean under the logging policy: b, and chance where the log explores."""
+        preferred, finite = float(self.weight.mean()), np.where(self.is_possible, each, 0.0)
+        chance = self.is_possible / self.is_possible.sum(axis=1, keepdims=True)
+        expected = ((preferred * np.exp(log_chance) + (1.0 - preferred) * chance) * finite).sum(axis=1)
+        return finite[np.arange(len(finite)), self.taken] - expected
 
 
-def preference_of(trajectories: TrajectoryArrays, num_completed: int) -> Preference:
-    """Estimate the preference of a log of named actions from a sample; the log has `num_completed` completed stages."""
-    known = trajectories.is_begun & trajectories.has_action
-    covariates = trajectories.features[..., 0, :]
+class Stacked(NamedTuple):
+    """How far held-out Q̂ and log b predict advantages: c and κ, and their standard errors over trajectories."""
+
+    coefficients: Float[np.ndarray, " 2"]
+    errors: Float[np.ndarray, " 2"]
+
+    def weight(self, most: float) -> float:
+        """τ [reward per nat]."""
+        of_q = self.coefficients[0] - STANDARD_ERRORS * self.errors[0]
+        of_log = max(self.coefficients[1] + STANDARD_ERRORS * self.errors[1], 0.0)
+        return float(min(of_log / of_q, most)) if of_q > 0 else most * float(of_log > 0)
+
+
+def with_preference(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, tuple[str, ...]]:
+    """Estimate b and τ from a log of many actions or a sample of it; return the model and what was found."""
+    if not model.has_many_actions:
+        return model, ()
+    known, covariates = trajectories.is_begun & trajectories.has_action, trajectories.features[..., 0, :]
     mean, scale = mean_and_scale(covariates[known])
     standard = np.where(trajectories.is_begun[..., None], (covariates - mean) / scale, 0.0)
     weight = _weights(trajectories.probability[known], trajectories.is_possible[known])
     choices = _Choices(standard[known], trajectories.is_possible[known], trajectories.action[known], weight)
-    fold = np.broadcast_to(np.arange(len(known))[:, None] % NUM_FOLDS, known.shape)[known]
-    ridge, held_out = _held_out(choices, fold)
-    beta, advantage = choices.fitted(ridge), advantages(trajectories, standard)
-    share = min(1.0, beta.size / max(num_completed, 1))
-    noise = float(np.sqrt(np.mean(advantage[trajectories.is_completed] ** 2)))
-    lead = np.zeros(known.shape)
-    lead[known] = choices.lead(held_out)
-    paid = (lead * advantage).sum(axis=1)
-    error = float(np.sqrt((paid**2).sum()))
-    trust = float(np.clip(1.0 + (float(paid.sum()) / error if error > 0 else 0.0), 0.0, 1.0))
-    return Preference(unscaled(beta, mean, scale), trust * STANDARD_ERRORS * noise * share**0.5)
+    of_trajectory, done = np.nonzero(known)[0], trajectories.is_completed[known]
+    ridge, log_b = _held_out(choices, of_trajectory % NUM_FOLDS)
+    leads = [choices.lead(each, log_b)[done] for each in (_held_out_q(model, trajectories)[known], log_b)]
+    advantage = advantages(trajectories, standard)[known][done]
+    found = stacked(np.column_stack(leads), advantage, of_trajectory[done])
+    tau = found.weight(STANDARD_ERRORS * float(np.sqrt(np.mean(advantage**2))))
+    behaviour = unscaled(choices.fitted(ridge), mean, scale)
+    return replace(model, behaviour=behaviour, behaviour_weight=tau), (_in_words(found, tau),)
+
+
+def _in_words(found: Stacked, tau: float) -> str:
+    if tau == 0:
+        return "the logging policy has no weight: actions that it prefers earned no more"
+    return (
+        f"the logging policy counts {tau:.3g} of reward for each factor of e in its probability of an action: held "
+        f"out, differences in Q were {found.coefficients[0]:.2g} ± {found.errors[0]:.2g} of what they promised"
+    )
+
+
+def stacked(
+    leads: Float[np.ndarray, "rows 2"], advantage: Float[np.ndarray, " rows"], of_trajectory: Int[np.ndarray, " rows"]
+) -> Stacked:
+    """Regress advantages on the leads of the actions taken, with standard errors by trajectories."""
+    inverse = np.linalg.pinv(leads.T @ leads)
+    coefficients = inverse @ (leads.T @ advantage)
+    score = np.zeros((int(of_trajectory.max(initial=0)) + 1, leads.shape[1]))
+    np.add.at(score, of_trajectory, leads * (advantage - leads @ coefficients)[:, None])
+    return Stacked(coefficients, np.sqrt(np.diag(inverse @ (score.T @ score) @ inverse)))
+
+
+def _held_out_q(model: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarray, "n T A"]:
+    """Q̂ of every action, fitted to other trajectories; 0 if there are too few."""
+    log = model.transitions(trajectories)
+    num_trajectories, _, num_actions = log.is_possible.shape
+    found, regression = np.zeros(log.is_possible.shape), model.regression(num_trajectories, num_actions)
+    if num_trajectories < FEWEST_HELD_OUT:
+        return found
+    fold = np.random.default_rng([model.random_state, 5]).permutation(num_trajectories) % NUM_FOLDS_OF_Q
+    with one_thread():
+        for k in range(NUM_FOLDS_OF_Q):
+            fits = fit_q(log.counted((fold != k).astype(np.float64)), regression)
+            found[fold == k] = q_of_stages(fits, log, regression.block_of_action, model.stages)[fold == k]
+    return found
 
 
 def _weights(

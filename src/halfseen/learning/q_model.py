@@ -15,7 +15,6 @@ from halfseen.errors import ArgumentError
 from halfseen.learning.behaviour import fit_choice, seen_among
 from halfseen.learning.imputation import DurationModel, fit_duration_model, imputation
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.preference import preference_of
 from halfseen.learning.q_space import (
     CrossValidation,
     KernelMap,
@@ -144,11 +143,8 @@ class QModel:
         model = self._with_affordable_space(trajectories.features.shape[-1])
         taken = trajectories.encoded.taken[trajectories.is_completed]
         model = replace(model, kernel_map=model.space.features(taken, self.random_state))
-        if self.pessimism == 0:
+        if self.pessimism == 0 or self.has_many_actions:
             return model
-        if self.has_many_actions:
-            assert self.support is not None
-            return replace(model, **preference_of(trajectories, int(self.support.num_completed.sum()))._asdict())
         known, blocks = trajectories.is_begun & trajectories.has_action, self.blocks(trajectories.is_possible.shape[-1])
         found = fit_choice(
             trajectories.features[known], trajectories.is_possible[known], trajectories.action[known], blocks
@@ -295,16 +291,7 @@ class QModel:
     @property
     def chosen(self) -> tuple[str, ...]:
         """What was chosen automatically, and why."""
-        of_task, preferred = getattr(self.task, "chosen", ()), ()
-        if self.has_many_actions and self.behaviour_weight == 0:
-            preferred = ("the logging policy has no weight: stages with its preferred actions earned no more",)
-        elif self.has_many_actions:
-            worth = (
-                f"{self.behaviour_weight:.3g} of reward for each factor of e in the probability that the log takes it"
-            )
-            few = f"there are few stages for each of {self.num_blocks} actions"
-            preferred = (f"{few}, so the logging policy counts: {worth}",)
-        return (*self.space_chosen, *preferred, *of_task)
+        return (*self.space_chosen, *getattr(self.task, "chosen", ()))
 
     def regression(self, num_trajectories: int, num_actions: int) -> Regression:
         """Describe how each step of eq. 3 is fitted."""

@@ -31,6 +31,7 @@ from halfseen.censoring import StageClocks, WeightDiagnostics
 from halfseen.censoring.clocks import stacked
 from halfseen.censoring.weights import WeightTally, weight_diagnostics
 from halfseen.learning.judging import with_half_life, with_stages
+from halfseen.learning.preference import with_preference
 from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import CrossValidation
 from halfseen.learning.recursion import QFunctions, Step, StepSums, backward, sums_of_step
@@ -107,7 +108,8 @@ def _with_choices(
     """Choose the stage mode and the half-life by the log, if they are open; return the reasons, too."""
     model, chosen = with_stages(model, sample) if has_choice else (model, model.chosen)
     model, why = with_half_life(model, sample, num_trajectories)
-    return model, (*chosen, *why)
+    model, preferred = with_preference(model, sample)
+    return model, (*chosen, *why, *preferred)
 
 
 def _backward_streaming(
