@@ -36,10 +36,10 @@ class Visit(NamedTuple):
 class Clinic:
     """The world of a seed, and who logs: care, or one who takes what care holds for worst, but for a share of tries.
 
-    A try takes any treatment.
+    A try takes any treatment. What care knows of a probability of cure has a standard error.
     """
 
-    def __init__(self, seed: int = 0, tried_share: float = 0.5, is_worst: bool = False) -> None:
+    def __init__(self, seed: int = 0, tried_share: float = 0.5, is_worst: bool = False, error: float = 0.08) -> None:
         rng, self.tried_share, self.is_worst = np.random.default_rng(seed), tried_share, is_worst
         self.typical = rng.normal(0.0, 1.0, (NUM_DISEASES, NUM_SYMPTOMS))
         self.cures = np.full((NUM_DISEASES, NUM_TREATMENTS), 0.01)
@@ -47,7 +47,7 @@ class Clinic:
             disease[rng.permutation(NUM_TREATMENTS)[:4]] = [0.5, 0.3, 0.15, 0.1]
         self.moves = rng.normal(0.0, 0.12, (NUM_TREATMENTS, NUM_SYMPTOMS))
         self.cost = rng.uniform(1.0, 5.0, NUM_TREATMENTS)
-        self.known = np.clip(self.cures + rng.normal(0.0, 0.08, self.cures.shape), 0.0, 1.0)
+        self.known = np.clip(self.cures + rng.normal(0.0, error, self.cures.shape), 0.0, 1.0)
 
     def _worth(self, symptoms: np.ndarray) -> np.ndarray:
         log_odds = -0.25 * ((symptoms[:, None] - self.typical) ** 2).sum(axis=-1)
