@@ -4,7 +4,7 @@ If many actions share few stages, the behaviour policy decides where Q cannot (b
 
     argmax_a  Q̂(S, a) − margin + τ·log b(a | S)
 
-is the mode of the policy whose Q is regularised by the Kullback–Leibler divergence from b [WuTuckerNachum2019]_. Three
+is the mode of the policy whose Q is regularised by the Kullback–Leibler divergence from b [WuTuckerNachum2019]_. Two
 quantities are estimated:
 
 - *b* is a multinomial logit, shrunk towards uniform choice by the penalty that predicts held-out trajectories best. A
