@@ -14,7 +14,7 @@ quantities are estimated:
   action, V̂ the value of the logging policy by least squares [BradtkeBarto1996]_, is regressed on how far the action
   leads the log's average one in Q̂ and in log b, both fitted to other trajectories [Breiman1996]_:
 
-      A_t ≈ c · lead of Q̂ + κ · lead of log b,    τ = (κ + 2 s_κ)⁺ / (c − 2 s_c),
+      A_t ≈ c · lead of Q̂ + κ · lead of log b,    τ = (κ + s_κ)⁺ / (c − 2 s_c),
 
   with standard errors s over trajectories, so that in doubt the log is followed. τ is at most 2 σ, σ² the mean of A_t²,
   and 2 σ if c is not clearly positive.
@@ -39,7 +39,7 @@ NUM_FOLDS, NUM_FOLDS_OF_Q = 5, 2
 VALUE_RIDGE = 3.0
 """Ridge penalty of V̂."""
 STANDARD_ERRORS = 2.0
-"""By which κ is raised and c lowered; and σ in the largest τ."""
+"""By which c is lowered; and σ in the largest τ."""
 CLEARLY, ABOUT = 2.0, 0.1
 """Factor of a probability over chance that shows a preference, and tolerance of its number of actions in a state."""
 
@@ -97,7 +97,7 @@ class Stacked(NamedTuple):
     def weight(self, most: float) -> float:
         """τ [reward per nat]."""
         of_q = self.coefficients[0] - STANDARD_ERRORS * self.errors[0]
-        of_log = max(self.coefficients[1] + STANDARD_ERRORS * self.errors[1], 0.0)
+        of_log = max(self.coefficients[1] + self.errors[1], 0.0)
         return float(min(of_log / of_q, most)) if of_q > 0 else most * float(of_log > 0)
 
 
