@@ -321,3 +321,9 @@ def test_arguments_of_another_type_are_refused_in_one_line(changed, message):
     given = {"logs": log(16, num_trajectories=100)} | changed
     with pytest.raises(ArgumentError, match=message):
         evaluate(TARGET, **given)
+
+
+@pytest.mark.parametrize("sequence", [(), "AB"])
+def test_a_sequence_that_is_empty_or_text_is_refused(sequence):
+    with pytest.raises(ArgumentError, match="give a tuple of names, one for each stage"):
+        FixedSequence(sequence)

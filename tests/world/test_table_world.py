@@ -102,6 +102,7 @@ def learned(num_decisions):
             ArgumentError,
             "episodes is 1.5; give a whole number",
         ),
+        (lambda: WORLD.simulate(SCENES, None, 1, 0), ArgumentError, "policy is a NoneType; give one that decides"),
         (lambda: WORLD.simulate(SCENES, UniformPolicy(), 1, -1), ArgumentError, "seed is -1; give a whole number"),
         (lambda: WorldConfig(horizon=0), ArgumentError, "horizon is 0; give a whole number of actions"),
         (lambda: WorldConfig(dirty_share=2), ArgumentError, r"dirty_share is 2; give a probability, in \[0, 1\]"),

@@ -122,7 +122,8 @@ class TableWorld:
         Raises
         ------
         ArgumentError
-            `episodes` or `seed` is not a whole number, or too small; or `cut_share` is outside [0, 1).
+            `episodes` or `seed` is not a whole number, or too small; `cut_share` is outside [0, 1); or `policy` does
+            not decide.
         PolicyError
             The policy is for another number of robots.
         SceneError
@@ -161,6 +162,8 @@ class TableWorld:
             raise ArgumentError(f"episodes is {episodes!r}; give a whole number, at least 1")
         if not is_whole(seed, 0):
             raise ArgumentError(f"seed is {seed!r}; give a whole number, at least 0")
+        if not isinstance(policy, Policy):
+            raise ArgumentError(f"policy is a {type(policy).__name__}; give one that decides, such as UniformPolicy()")
         layouts = self.layouts(scenes)
         if self.team is not None:
             check_fits(policy, self.played_config)
