@@ -70,7 +70,7 @@ def faults_of_pages(pages: Path, docs: Path) -> list[str]:
 
 
 def of_this_machine(content: bytes) -> list[str]:
-    """Names of this machine, and of places on it, that are told in a content."""
+    """Names of this machine, and of places on it, that appear in a content."""
     words = {str(CLONE), f"{Path.home()}/", socket.gethostname()}
     # A name like "vm" stands in other words, too.
     return sorted(word for word in words if len(word) > 5 and word.encode() in content)

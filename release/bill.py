@@ -29,10 +29,10 @@ def bill_of(python: Path) -> str:
     from cyclonedx.validation.json import JsonStrictValidator
 
     command = ["environment", "--output-reproducible", "--short-PURLs", "--sv", "1.6", "--of", "JSON", "-o", "-"]
-    told = subprocess.run(
+    printed = subprocess.run(
         [sys.executable, "-m", "cyclonedx_py", *command, python], check=True, capture_output=True, text=True
     )
-    bill = json.dumps(plain(json.loads(told.stdout)), indent=1, sort_keys=True) + "\n"
+    bill = json.dumps(plain(json.loads(printed.stdout)), indent=1, sort_keys=True) + "\n"
     if (fault := JsonStrictValidator(SchemaVersion.V1_6).validate_str(bill)) is not None:
         raise ValueError(f"the bill is not as CycloneDX 1.6 asks for: {fault}")
     return bill
@@ -47,7 +47,7 @@ def plain(bill: dict[str, Any]) -> dict[str, Any]:
     return bill | {
         "metadata": {"component": whole | {"type": "application"}},
         "components": list(parts.values()),
-        "dependencies": [told for told in bill["dependencies"] if told["ref"] in known],
+        "dependencies": [each for each in bill["dependencies"] if each["ref"] in known],
     }
 
 

@@ -22,8 +22,8 @@ def entries(changelog: str) -> dict[str, tuple[str, str]]:
 
 def notes_of(version: str, changelog: str) -> str:
     """Notes of a version: its entry, or of a version in development what is unreleased."""
-    told = entries(changelog)
-    return told.get(version, told["Unreleased"])[1]
+    sections = entries(changelog)
+    return sections.get(version, sections["Unreleased"])[1]
 
 
 def lacks(version: str, said: dict[str, str], changelog: str, cited_day: str | None) -> list[str]:
@@ -41,8 +41,8 @@ def lacks(version: str, said: dict[str, str], changelog: str, cited_day: str | N
         The day that CITATION.cff says; None where it says none.
     """
     released = version.partition(".dev")[0]
-    told = entries(changelog)
-    date, text = told.get(released, ("", ""))
+    sections = entries(changelog)
+    date, text = sections.get(released, ("", ""))
     steps = [
         f"set {released} in {file} (it says {says})"
         for file, says in {"src/halfseen/__init__.py": version, **said}.items()
@@ -52,7 +52,7 @@ def lacks(version: str, said: dict[str, str], changelog: str, cited_day: str | N
         steps.append(f"write `## [{released}] - YYYY-MM-DD` with words below it in CHANGELOG.md")
     if cited_day is None or cited_day != date:
         steps.append(f"write `date-released: {date or 'YYYY-MM-DD'}` in CITATION.cff (it says {cited_day or 'none'})")
-    if told["Unreleased"][1]:
+    if sections["Unreleased"][1]:
         steps.append(f"move the words below [Unreleased] to [{released}]")
     return steps
 

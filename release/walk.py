@@ -76,8 +76,8 @@ class Bare:
 
     def every_verb(self) -> list[Ended]:
         """Run each verb once."""
-        told = self._run([self.python, CLONE / "release" / "every_verb.py"], self._for_halfseen)
-        return [Ended(*each) for each in json.loads(told)]
+        printed = self._run([self.python, CLONE / "release" / "every_verb.py"], self._for_halfseen)
+        return [Ended(*each) for each in json.loads(printed)]
 
     def _run(self, command: list, env: dict[str, str]) -> str:
         begun_s = time.monotonic()
@@ -99,7 +99,7 @@ def engineers_path() -> list[str]:
 
 
 def faults_without_extras(ended: Iterable[Ended]) -> list[str]:
-    """Say which lines neither worked nor told what to install."""
+    """Say which lines neither worked nor said what to install."""
     return [
         f"halfseen {line} ended with {status}: {err}"
         for line, status, err in ended
@@ -113,9 +113,9 @@ def walk(bare: Bare, wheel: Path) -> None:
     ended = bare.every_verb()
     if faults := faults_without_extras(ended):
         sys.exit("\n".join(faults))
-    if missing := WITHOUT_EXTRAS - {told.line.split()[0] for told in ended if told.status == 0}:
+    if missing := WITHOUT_EXTRAS - {each.line.split()[0] for each in ended if each.status == 0}:
         sys.exit(f"these need no extra, and do not work without: {', '.join(sorted(missing))}")
-    refused = next(told for told in ended if told.line.startswith("look"))
+    refused = next(each for each in ended if each.line.startswith("look"))
     bare.as_told(HINT.findall(refused.err)[0])
     bare.halfseen(f"halfseen {refused.line}")
     walk_with(bare, wheel, "all")

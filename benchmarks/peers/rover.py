@@ -162,15 +162,15 @@ def episode(num_simulations: int, seed: int) -> float:
     while not rovers.is_out[0]:
         number, _, _ = decided(states(seen, said, times, rng), num_simulations)
         action = np.array([number])
-        moved, reward, told = step(rovers, action, rng.random(1))
+        moved, reward, read = step(rovers, action, rng.random(1))
         total += DISCOUNT ** int(seen.steps[0]) * float(reward[0])
         if number >= CHECK:
             rock = number - CHECK
-            said, times = changed(said, rock, said[rock] + 2 * int(told[0]) - 1), changed(times, rock, times[rock] + 1)
+            said, times = changed(said, rock, said[rock] + 2 * int(read[0]) - 1), changed(times, rock, times[rock] + 1)
         if number == SAMPLE:
             rock = ROCK_AT[tuple(seen.position[0].tolist())]
             said, times = changed(said, rock, -TOO_OFTEN), changed(times, rock, TOO_OFTEN)
-        seen, rovers = known_after(seen, moved, action, told), moved
+        seen, rovers = known_after(seen, moved, action, read), moved
     return total
 
 

@@ -68,7 +68,7 @@ def mean_and_error(values: Float[Any, " R"]) -> tuple[float, float]:
     return float(each.mean()), float(each.std(ddof=1) / np.sqrt(len(each))) if len(each) > 1 else 0.0
 
 
-def told(values: Float[Any, " R"], digits: int = 3) -> str:
+def with_error(values: Float[Any, " R"], digits: int = 3) -> str:
     """Mean ± standard error."""
     mean, error = mean_and_error(values)
     return f"{mean:.{digits}f} ± {error:.{digits}f}".replace("-", "−")

@@ -36,7 +36,7 @@ def blip(
 
 
 def logistic(design: Float[np.ndarray, "n K"], outcome: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Fitted probabilities; a slight ridge keeps them from 0 where few are told apart by many covariates."""
+    """Fitted probabilities; a slight ridge keeps them from 0 where few are separated by many covariates."""
     if design.shape[1] == 1 or len(np.unique(outcome)) == 1:
         return np.full(len(outcome), outcome.mean())
     fitted = LogisticRegression(C=RIDGE).fit(design[:, 1:], outcome)

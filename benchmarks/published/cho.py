@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float, Int
-from peers.side_by_side import asked, markdown, mean_and_error, run, told
+from peers.side_by_side import asked, markdown, mean_and_error, run, with_error
 from peers.staged_survival import Rule, dwsurv_rules, forest_rules, stage_times
 from scipy.signal import lfilter
 from scipy.special import expit
@@ -280,7 +280,7 @@ def tables(report: dict[str, Any]) -> str:
         rows = [
             [
                 f"{row['cell']}, n = {row['size']:,}",
-                *(told(row["values"][name][criterion]) for name in METHODS),
+                *(with_error(row["values"][name][criterion]) for name in METHODS),
                 "{:+.3f} ± {:.3f}".format(*lead(row, criterion)).replace("-", "−"),
             ]
             for row in report["rows"]

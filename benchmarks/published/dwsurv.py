@@ -12,7 +12,7 @@ weights: no unbiased estimate has a smaller standard deviation.
 *The log.* Stages earn log T₁ and log(T/T₁), which sum to log T. A patient who was cut is cut in the first stage, at the
 recorded time: the design draws it, and how it is split into stages, apart from survival, so that some *outlive* their
 own time. The second stage is learned by itself, from log T₂. *Weighted* is our learner with Cox weights and separate
-stages, all else by default; *cut at once* is the default from a log that says who was cut, as DWSurv is told, and not
+stages, all else by default; *cut at once* is the default from a log that says who was cut, as DWSurv knows it, and not
 when.
 """
 

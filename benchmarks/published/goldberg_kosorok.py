@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float, Int
-from peers.side_by_side import asked, markdown, run, told
+from peers.side_by_side import asked, markdown, run, with_error
 from scipy.optimize import brentq
 
 from halfseen.learning import CensoredQLearner
@@ -167,7 +167,7 @@ def tables(report: dict[str, Any]) -> str:
     rows = []
     for row in report["rows"]:
         derived = f"{MONTHS * DERIVED[row['share']]:.2f}" if row["size"] == 1000 and row["share"] in DERIVED else ""
-        cells = [told(row["values"][name], 2) for name in METHODS]
+        cells = [with_error(row["values"][name], 2) for name in METHODS]
         rows.append([f"{row['size']:,}, {row['share']:.0%} cut", derived, *cells])
     exact = ", ".join(f"{name} {months:.2f}" for name, months in report["plain"].items())
     head = ("patients", "eq. 3, linear, derived", *METHODS)

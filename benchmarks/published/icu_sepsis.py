@@ -6,7 +6,7 @@ The dynamics are those of the package `icu-sepsis`, and every value is computed 
 expert, who at a share ε of decisions takes one of the admissible actions at random. A stage is cut at a rate that
 doubles with every 3 points of SOFA. Peers are tabular (`peers.tabular`); what they can choose was chosen, as our method
 was, on random worlds of the same shape (--tune), though this world was in view, and ε was chosen by it. In a state that
-a log never shows the expert decides, whoever learned. *Told* is a yardstick: it knows all of each state but which
+a log never shows the expert decides, whoever learned. *Informed* is a yardstick: it knows all of each state but which
 action is best, and looks one step ahead.
 """
 
@@ -103,8 +103,8 @@ def ours(world: FiniteWorld, steps: Steps, rule: np.ndarray) -> np.ndarray:
     return found
 
 
-def told(world: FiniteWorld, counts: Counts, rule: np.ndarray) -> np.ndarray:
-    """What a Bayesian would choose who is told V of the log, and noise and spread of every state, but no action's Q."""
+def informed(world: FiniteWorld, counts: Counts, rule: np.ndarray) -> np.ndarray:
+    """What a Bayesian would choose who knows V of the log, and noise and spread of every state, but no action's Q."""
     value = world.values(rule)
     q, entered = world.q(value), world.reward + np.where(world.is_end, 0.0, value)
     mean = (rule * q).sum(axis=1, keepdims=True)
@@ -155,7 +155,7 @@ def measured(
         steps = world.simulate(size, rule, hazard, np.random.default_rng([seed, size]))
         counts = counts_of(world, steps)
         found = {"ours": ours(world, steps, rule)} | {name: learn(counts) for name, learn in PEERS.items()}
-        found["told"] = told(world, counts, rule)
+        found["informed"] = informed(world, counts, rule)
         worth.append([judged(world, seen_only(each, counts), expert) for each in found.values()])
     return {"setting": setting, "size": size, "logs": num, **summary(list(found), np.array(worth))}
 
@@ -176,13 +176,13 @@ def summary(names: list[str], worth: np.ndarray) -> dict[str, Any]:
 
 def tables(report: dict[str, Any]) -> str:
     """Values in one table; errors are in the results."""
-    names = ["ours", *PEERS, "told"]
-    head = ["log", *names, "worst 5 % of ours", "of told"]
+    names = ["ours", *PEERS, "informed"]
+    head = ["log", *names, "worst 5 % of ours", "of informed"]
     rows = [
         [
             f"{row['setting']}, {row['size']:,}",
             *(f"{row['mean'][name]:.4f}" for name in names),
-            *(f"{row['worst'][name]:.4f}" for name in ("ours", "told")),
+            *(f"{row['worst'][name]:.4f}" for name in ("ours", "informed")),
         ]
         for row in report["rows"]
     ]

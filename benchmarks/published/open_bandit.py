@@ -4,7 +4,7 @@ python benchmarks/published/open_bandit.py [--out …/open_bandit.json]
 
 The package `obp` ships a sample: of each of three campaigns 10,000 recommendations of fashion items at one of three
 positions by a uniformly random policy, and 10,000 by Thompson sampling, with the probability of each and whether it was
-clicked. The policy to be told is that of Thompson sampling as `obp` has it, and the random one. Ours is `evaluate` with
+clicked. The policies to evaluate are Thompson sampling as `obp` has it, and the uniform one. Ours is `evaluate` with
 the position as the covariate; theirs are obp's own estimators, its regression a logistic one for each position, and its
 intervals by bootstrap. What was earned is the mean of the other log, with Wilson's interval.
 
@@ -34,8 +34,8 @@ PACKAGE = "obp==0.5.7"
 ABSENT = ("torch", "pyieoe", "pingouin", "seaborn", "mypy_extensions")
 OF_TORCH = ("nn", "nn.functional", "optim", "utils", "utils.data")
 CAMPAIGNS = ("all", "men", "women")
-TOLD = {"Thompson": ("random", "bts"), "random": ("bts", "random")}
-"""Policy: whose log it is told from, and where it is seen what it earns."""
+EVALUATED = {"Thompson": ("random", "bts"), "random": ("bts", "random")}
+"""Policy: whose log it is evaluated from, and where it is seen what it earns."""
 ESTIMATORS = {
     "IPW": "InverseProbabilityWeighting",
     "SNIPW": "SelfNormalizedInverseProbabilityWeighting",
@@ -109,11 +109,11 @@ def theirs(obp: Any, rounds: dict[str, Any], chance: np.ndarray) -> dict[str, li
         n_actions=num_actions, len_list=num_positions, base_model=LogisticRegression(max_iter=1000)
     )
     context = np.ones((size, 1))
-    told = regression.fit_predict(context=context, n_folds=3, random_state=0, **given)
+    predicted = regression.fit_predict(context=context, n_folds=3, random_state=0, **given)
     found = {}
     for name in ESTIMATORS:
         estimator = getattr(obp.ope, ESTIMATORS[name])()
-        wanted = given if name.endswith("IPW") else given | {"estimated_rewards_by_reg_model": told}
+        wanted = given if name.endswith("IPW") else given | {"estimated_rewards_by_reg_model": predicted}
         wanted = (
             {**wanted} if name != "DM" else {k: v for k, v in wanted.items() if k not in ("reward", "action", "pscore")}
         )
@@ -124,10 +124,10 @@ def theirs(obp: Any, rounds: dict[str, Any], chance: np.ndarray) -> dict[str, li
 
 
 def measured(obp: Any, campaign: str, policy: str) -> dict[str, Any]:
-    """A policy, told from the other's log."""
+    """A policy, evaluated from the other's log."""
     source, own = (
         obp.dataset.OpenBanditDataset(behavior_policy=name, campaign=campaign).obtain_batch_bandit_feedback()
-        for name in TOLD[policy]
+        for name in EVALUATED[policy]
     )
     num_actions, actions = source["n_actions"], [f"item {k:02d}" for k in range(source["n_actions"])]
     chance = np.full((num_actions, 3), 1.0 / num_actions)
@@ -172,7 +172,7 @@ def main() -> None:
     options = asked(__doc__, "open_bandit", 1).parse_args()
     logging.disable(logging.INFO)
     obp = loaded()
-    cells = [(obp, campaign, policy) for campaign in CAMPAIGNS for policy in TOLD]
+    cells = [(obp, campaign, policy) for campaign in CAMPAIGNS for policy in EVALUATED]
     run(options.out, cells, measured, tables, package=PACKAGE)
 
 

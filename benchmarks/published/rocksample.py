@@ -4,7 +4,7 @@ python benchmarks/published/rocksample.py [--out …/rocksample.json] [--repetit
 
 The world is `worlds/rocks.py`. Rewards of a log are discounted to the first step, and how far that has gone is among
 the covariates; stages are skills, which take as many seconds as steps. A log is of the heuristic, of which three
-decisions in ten are by chance, or of chance alone. It is told in two ways: rocks have their numbers (`by number`), or
+decisions in ten are by chance, or of chance alone. Its covariates are of rocks by their numbers (`by number`), or by
 their ranks among the nearest that are not believed to be bad, and covariates are present values (`by rank`). Values
 are means of 4,000 fresh episodes. Beside them: the heuristic; who sees which rocks are good, and takes the best route;
 and pomdp-py's POMCP (`peers/rover.py`), which decides every step, knows the model and the exact posterior, and makes as
@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from peers.side_by_side import asked, markdown, mean_and_error, run, told
+from peers.side_by_side import asked, markdown, mean_and_error, run, with_error
 from tqdm import tqdm
 from worlds.rocks import (
     BY_NUMBER,
@@ -73,7 +73,7 @@ def present_values(seen: Seen) -> pd.DataFrame:
 
 
 class Design(NamedTuple):
-    """How a log is told, and learned from."""
+    """How a log is written, and learned from."""
 
     choices: Choices
     covariates: Callable[[Seen], pd.DataFrame]
@@ -156,8 +156,8 @@ def tables(report: dict[str, Any]) -> str:
     facts = [f"published: {listed(PUBLISHED)}", f"here, with errors up to {report['error']:.2f}: {listed(known)}"]
     if report["POMCP"]:
         returns, ahead, number = (report["POMCP"][name] for name in ("returns", "ahead", "simulations"))
-        pace = f"POMCP by {number:,} simulations a decision {told(returns, 1)} in {len(returns)} worlds"
-        facts.append(f"{pace}, there against the heuristic {told(ahead, 1)}")
+        pace = f"POMCP by {number:,} simulations a decision {with_error(returns, 1)} in {len(returns)} worlds"
+        facts.append(f"{pace}, there against the heuristic {with_error(ahead, 1)}")
     facts.append(f"learned: mean of {report['repetitions']} logs (lowest)")
     return f"*{'; '.join(facts)}*\n\n{markdown(['log', *DESIGNS], rows)}"
 

@@ -26,15 +26,15 @@ SIZES = (400, 2000)
 
 
 def measured(setting: str, size: int, num: int) -> dict[str, Any]:
-    """What is told of a policy from so many logs, beside its value."""
+    """What is estimated of a policy from so many logs, beside its value."""
     world, found = Cell(), []
-    told = policies_of(world)[POLICY]
+    policy = policies_of(world)[POLICY]
     for seed in range(num):
         log = world.log(size, seed, SHARES[setting])
-        value = evaluate(told, log, against="logging").doubly_robust
+        value = evaluate(policy, log, against="logging").doubly_robust
         ours = {"ours": (value.value, value.low, value.high)}
-        found.append(ours | estimates(world, told, uncut(log)))
-    truth = world.value(told.chances)
+        found.append(ours | estimates(world, policy, uncut(log)))
+    truth = world.value(policy.chances)
     summary = {name: summed(np.array([each[name] for each in found]), truth) for name in found[0]}
     return {"setting": setting, "size": size, "logs": num, "truth": truth, "of": summary}
 

@@ -42,12 +42,12 @@ def _class_or_function(name: str, value: Any) -> list[str]:
 def _constant(package: str, name: str, value: Any) -> list[str]:
     """A constant has no docstring of its own; the string below it is in the file that defines it."""
     modules = [module for module in sys.modules if module.startswith(f"{package}.")]
-    told = [ModuleAnalyzer.for_module(module).find_attr_docs().get(("", name), []) for module in modules]
+    found = [ModuleAnalyzer.for_module(module).find_attr_docs().get(("", name), []) for module in modules]
     if not isinstance(value, str) or "\n" not in value:
-        return [f".. data:: {name}", f"   :value: {value!r}", "", *(f"   {line}" for line in max(told, key=len))]
+        return [f".. data:: {name}", f"   :value: {value!r}", "", *(f"   {line}" for line in max(found, key=len))]
     # Several lines are shown as they would be printed.
     block = ["", ".. code-block:: toml", "", *(f"   {line}" for line in value.splitlines())]
-    return [f".. data:: {name}", "", *(f"   {line}" for line in [*max(told, key=len), *block])]
+    return [f".. data:: {name}", "", *(f"   {line}" for line in [*max(found, key=len), *block])]
 
 
 def shortened(

@@ -22,7 +22,7 @@ def pages() -> dict[str, str]:
     """The reST of each page, by its name; the first, ``index``, lists the others."""
     written = {name: page(halfseen.get_command(click.Context(halfseen), name), f"halfseen {name}") for name in VERBS}
     entries = [f"   {name}" for name in VERBS]
-    table = [line for name, told in VERBS.items() for line in (f":doc:`{name}`", f"   {told}", "")]
+    table = [line for name, summary in VERBS.items() for line in (f":doc:`{name}`", f"   {summary}", "")]
     lines = [*title("The command line", "="), *HEAD, *table, ".. toctree::", "   :hidden:", "", *entries]
     return {"index": text(lines)} | {name: text(lines) for name, lines in written.items()}
 
@@ -40,7 +40,7 @@ def page(command: click.Command | None, path: str, underline: str = "=") -> list
     """Lines about one verb, and about those of a group below it."""
     assert command is not None, path
     ctx = click.Context(command, info_name=path, help_option_names=["-h", "--help"])
-    lines = [*title(path, underline), *told(command), ".. code-block:: console", "", f"   $ {usage(command, ctx)}", ""]
+    lines = [*title(path, underline), *about(command), ".. code-block:: console", "", f"   $ {usage(command, ctx)}", ""]
     if command.epilog:
         lines += ["Example:", "", ".. code-block:: sh", "", f"   {command.epilog.removeprefix(EXAMPLE)}", ""]
     lines += [f".. program:: {path}", ""]
@@ -53,7 +53,7 @@ def page(command: click.Command | None, path: str, underline: str = "=") -> list
     return lines
 
 
-def told(command: click.Command) -> list[str]:
+def about(command: click.Command) -> list[str]:
     """What a verb does, in paragraphs."""
     return [*quoted(inspect.cleandoc(command.help or "")).splitlines(), ""]
 

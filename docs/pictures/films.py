@@ -61,9 +61,9 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
         config = belief.config
         rule = policy_for(policy, 0.0, config, num_arms)
         run = play(cell, is_dirty, rule, belief, trajectory, key, on_decision=follow)
-    told = f"{run.num_washed} of {run.num_dirty} dirty cups washed in {run.seconds:.0f} s, reward {run.reward:+.1f}"
+    caption = f"{run.num_washed} of {run.num_dirty} dirty cups washed in {run.seconds:.0f} s, reward {run.reward:+.1f}"
     # What another arm decides a moment later is in no picture of its own.
-    return [*(row for row in rows if row["words"] in taken.captions), {"stage": 0, "words": told}]
+    return [*(row for row in rows if row["words"] in taken.captions), {"stage": 0, "words": caption}]
 
 
 def _film(name: str, command: str, policy: str, seed: int, num_arms: int) -> Picture:

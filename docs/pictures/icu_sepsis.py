@@ -10,7 +10,7 @@ from pictures.style import LEGEND, figure
 
 RESULTS = ROOT / "benchmarks" / "published" / "results" / "icu_sepsis.json"
 SHOWN = {
-    "told": (INK, "--"),
+    "informed": (INK, "--"),
     "ours": (BLUE, "-"),
     "CQL": (PINK, "-"),
     "BCQ": (ORANGE, "-"),

@@ -47,11 +47,11 @@ def draw_two_trajectories() -> Figure:
             end_s = stage.elapsed_s if is_seen else trajectory.end_s
             look: Any = {"color": COLOURS[stage.action]} if is_seen else {"fc": "white", "ec": COLOURS[stage.action]}
             axes.barh(height, end_s - began_s, 0.5, began_s, **look, hatch=None if is_seen else "///", lw=1.0)
-            told = f"{stage.action}\n{stage.reward:+.1f}" if is_seen else f"{stage.action}\nnot completed"
+            text = f"{stage.action}\n{stage.reward:+.1f}" if is_seen else f"{stage.action}\nnot completed"
             box = None if is_seen else {"fc": "white", "ec": "none", "pad": 1.0}
             colour = "white" if is_seen else INK
             middle = (began_s + end_s) / 2
-            axes.text(middle, height, told, ha="center", va="center", color=colour, fontsize=9.0, bbox=box)
+            axes.text(middle, height, text, ha="center", va="center", color=colour, fontsize=9.0, bbox=box)
             began_s = end_s
         is_cut = trajectory.ending == "cut"
         words = f" cut: {trajectory.cause}" if is_cut else " finished"
@@ -74,20 +74,20 @@ def draw_steps() -> Figure:
         stages = steps.logs("three steps").stages
         top = 2.6 * row
         for number, x in enumerate(seen.tolist()):
-            told = f"saw {x:g}\ndid {actions[number]}" if number < len(actions) else f"saw {x:g}"
+            text = f"saw {x:g}\ndid {actions[number]}" if number < len(actions) else f"saw {x:g}"
             axes.barh(top, 0.94, 0.8, number, fc="white", ec=SOFT, lw=1.0)
-            axes.text(number + 0.47, top, told, ha="center", va="center", fontsize=9.0)
+            axes.text(number + 0.47, top, text, ha="center", va="center", fontsize=9.0)
         for number, stage in enumerate(stages.itertuples()):
             is_seen, colour = not pd.isna(stage.elapsed_s), COLOURS.get(str(stage.action), SOFT)
             look: Any = {"color": colour} if is_seen else {"fc": "white", "ec": RED, "hatch": "///", "lw": 1.0}
             axes.barh(top + 1.0, 0.94, 0.8, number, **look)
             action = "no action" if pd.isna(stage.action) else stage.action
-            told = f"{action}\n{stage.reward:+.1f}" if is_seen else f"cut\n{action}"
+            text = f"{action}\n{stage.reward:+.1f}" if is_seen else f"cut\n{action}"
             box = None if is_seen else {"fc": "white", "ec": "none", "pad": 1.0}
             axes.text(
                 number + 0.47,
                 top + 1.0,
-                told,
+                text,
                 ha="center",
                 va="center",
                 fontsize=9.0,

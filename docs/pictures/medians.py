@@ -39,12 +39,12 @@ def draw_medians(rows: Table) -> Figure:
     ):
         axes.plot(clutter[few, 0][is_it], end_s[few][is_it], "o", ms=3.2, mec=SOFT, mew=0.8, **look)
     across = [row["clutter"] for row in rows]
-    for name, colour, told in (
+    for name, colour, label in (
         ("none", ALARM, "dropping what was cut"),
         ("kaplan-meier", ORANGE, "Kaplan–Meier weights"),
         ("cox", BLUE, "Cox weights"),
     ):
-        axes.plot(across, [row[name] for row in rows], color=colour, lw=2.2, label=told)
+        axes.plot(across, [row[name] for row in rows], color=colour, lw=2.2, label=label)
     axes.plot(across, np.exp(1.0 + np.array(across)), "--", color=INK, lw=1.4, label="the true median")
     axes.set_ylim(0.0, 14.0)
     made.legend(loc="outside lower center", ncols=2, **LEGEND)

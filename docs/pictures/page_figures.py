@@ -24,14 +24,14 @@ def draw_bias() -> Figure:
     models = [row[0] for row in rows]
     made = figure(4.3)
     panels = made.subplots(2, 2, sharex=True, sharey=True)
-    for axes, (name, told) in zip(panels.flat, SITUATIONS.items(), strict=True):
+    for axes, (name, text) in zip(panels.flat, SITUATIONS.items(), strict=True):
         bias, error, _ = np.array([numbers_in(row[head.index(name)]) for row in rows]).T
         colours = [RED if abs(one) > 3 * width else BLUE for one, width in zip(bias, error, strict=True)]
         for row, (one, width, colour) in enumerate(zip(bias, error, colours, strict=True)):
             axes.barh(row, one, 0.62, color=colour)
             axes.plot([one - 1.96 * width, one + 1.96 * width], [row, row], color=INK, lw=1.2)
         axes.axvline(0.0, color=INK, lw=1.0)
-        axes.set_title(told, loc="left", fontsize=9.5)
+        axes.set_title(text, loc="left", fontsize=9.5)
         axes.set_yticks(range(len(models)), models)
         axes.tick_params(axis="y", length=0)
     panels[0, 0].invert_yaxis()

@@ -56,10 +56,10 @@ def _with_labels() -> bytes:
         made, (coloured, seen) = _panels(2, window)
         coloured.imshow(cloud.colours.reshape(*view.labels.shape, 3))
         draw_view(seen, view, 9.0, has_shares=False)
-        told = ", ".join(f"{k} {word}" for k, word in enumerate(words))
+        text = ", ".join(f"{k} {word}" for k, word in enumerate(words))
         for axes, heading in (
             (coloured, "the colours of the cloud"),
-            (seen, f"what halfseen look makes of it:\n{told}"),
+            (seen, f"what halfseen look makes of it:\n{text}"),
         ):
             axes.set(xlim=window[:2], ylim=window[2:])
             axes.set_title(heading, loc="left", fontsize=9.5)
@@ -99,10 +99,10 @@ def _two_cameras() -> bytes:
         window = _window([right, short])
         made, panels = _panels(2, window)
         words = f"an Xtion: {len(right.objects)} objects", f"a third of its baseline: {len(short.objects)} objects"
-        for axes, view, told in zip(panels, (right, short), words, strict=True):
+        for axes, view, text in zip(panels, (right, short), words, strict=True):
             draw_view(axes, view, 8.0, has_shares=False)
             axes.set(xlim=window[:2], ylim=window[2:])
-            axes.set_title(told, loc="left", fontsize=9.5)
+            axes.set_title(text, loc="left", fontsize=9.5)
         return made
 
     return _small(figure_of)

@@ -13,7 +13,7 @@ from halfseen.learning import CensoredQLearner
 
 DOTS_PER_INCH = 140
 COLOURS = "PuOr"
-"""Told apart with any colour vision."""
+"""Distinct with any colour vision."""
 
 
 def write_figure(fitted: CensoredQLearner, sentence: str, path: Path) -> None:

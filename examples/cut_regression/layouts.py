@@ -30,8 +30,8 @@ def dependent_figure(comparison: Comparison) -> Figure:
     size = comparison.sizes[-1]
     of_median = {median: [s for s in comparison.settings if s.median == median] for median in MEDIANS}
     heaviest = of_median["linear"][-1]
-    told = headline(comparison, heaviest, ("kaplan-meier", "cox"))
-    title = f"Cuts come sooner where z1 is large. Linear median, {_cut(heaviest)}: {told}"
+    found = headline(comparison, heaviest, ("kaplan-meier", "cox"))
+    title = f"Cuts come sooner where z1 is large. Linear median, {_cut(heaviest)}: {found}"
     figure, axes = panels(title, _about(comparison), 2, len(MEDIANS), True)
     for (upper, lower), median in zip(axes.T, MEDIANS, strict=True):
         settings = of_median[median]
@@ -46,8 +46,8 @@ def ten_figure(comparison: Comparison) -> Figure:
     """Errors for each share of cuts; a column for each median, a row for each kind of cuts."""
     size = comparison.sizes[-1]
     heaviest = [s for s in comparison.settings if (s.median, s.cuts) == ("linear", "uniform")][-1]
-    told = headline(comparison, heaviest)
-    title = f"Ten covariates, one of which matters, {size} rows. Linear median, uniform cuts, {_cut(heaviest)}: {told}"
+    found = headline(comparison, heaviest)
+    title = f"Ten covariates, one of which matters, {size} rows. Linear median, uniform cuts, {_cut(heaviest)}: {found}"
     figure, axes = panels(title, _about(comparison), len(CUT_NAMES), len(MEDIANS), False)
     for row, cuts in zip(axes, CUT_NAMES, strict=True):
         for panel, median in zip(row, MEDIANS, strict=True):

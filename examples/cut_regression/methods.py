@@ -27,7 +27,7 @@ REG = 0.005
 
 
 def fitted(method: str, sample: Sample, setting: Setting, reg: float | str) -> Predictor:
-    """Fit one of `METHODS`; the setting is told to the true Ĝ alone.
+    """Fit one of `METHODS`; the setting is known to the true Ĝ alone.
 
     All SVMs have the absolute loss, the Gaussian kernel of width ``"scale"``, the target min(T, τ) and, unless `reg` is
     ``"cv"``, the same λ, so they differ in their weights only. With τ an uncut row is one of which min(T, τ) was seen,

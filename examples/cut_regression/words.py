@@ -54,11 +54,11 @@ def table(comparison: Comparison) -> str:
         for setting in comparison.settings
         for size in comparison.sizes
     ]
-    told = (
+    text = (
         f"Mean |estimate − true median| [s] over {_samples(comparison)}; F covariates, n rows, times restricted to "
         f"{TAU:g} s"
     )
-    return f"{told}\n{pd.DataFrame(lines).to_string(index=False)}\n{_at_tau(comparison)}"
+    return f"{text}\n{pd.DataFrame(lines).to_string(index=False)}\n{_at_tau(comparison)}"
 
 
 def sentence(comparison: Comparison, pairs: Sequence[tuple[str, str]]) -> str:
@@ -82,8 +82,8 @@ def headline(comparison: Comparison, setting: Setting, weighted: Sequence[str] =
         return f"{comparison.errors_of(setting, comparison.sizes[-1], method).mean():.2f} s"
 
     names = {"kaplan-meier": "weighted by Kaplan–Meier", "cox": "weighted by Cox's model of the cuts"}
-    told = [f"{miss('uncut')} on uncut rows only", *(f"{miss(method)} {names[method]}" for method in weighted)]
-    return f"the SVM misses the truth by {_listed(told)}; Cox's model of the times by {miss('cox-times')}"
+    text = [f"{miss('uncut')} on uncut rows only", *(f"{miss(method)} {names[method]}" for method in weighted)]
+    return f"the SVM misses the truth by {_listed(text)}; Cox's model of the times by {miss('cox-times')}"
 
 
 def _clause(comparison: Comparison, ours: str, other: str) -> str:

@@ -96,7 +96,7 @@ def simulate(num_trajectories: int, seed: int, is_cut: bool = True, rate: float 
 def record(folder: Path, num_trajectories: int, seed: int) -> None:
     """Log parts one by one with a recorder, stage by stage, and write what it holds into a folder for good.
 
-    The clock is simulated, so the recorder is told of it; at a real cell it reads its own.
+    The clock is simulated, so the recorder is given it; at a real cell it reads its own.
     """
     rng = np.random.default_rng(seed)
     with TemporaryDirectory() as journal:

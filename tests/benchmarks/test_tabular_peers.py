@@ -102,7 +102,7 @@ def test_kept_results_make_tables(module):
 
 def test_what_is_told_all_of_a_state_but_its_best_action_finds_it_and_a_rule_decides_where_none_knows(world):
     counts = counted(world, [(0, 0, 1, 40), (1, 0, 2, 36), (1, 0, 3, 14), (1, 1, 3, 9)])
-    policy = icu_sepsis.told(world, counts, EVEN)
+    policy = icu_sepsis.informed(world, counts, EVEN)
     assert policy[1].tolist() == [1.0, 0.0]
     nothing = np.zeros_like(policy)
     assert icu_sepsis.judged(world, nothing, EVEN) == world.worth(EVEN)

@@ -79,6 +79,7 @@ def test_a_fitted_model_is_not_fitted_again():
         ("KaplanMeier", None, "censoring is 'KaplanMeier'; give 'kaplan-meier', 'cox', 'kernel', or a"),
         ("kaplan-meier", Z, "KaplanMeier takes no covariates"),
         ("cox", None, "Cox needs covariates"),
+        (object(), None, "censoring is <object object at .*>; give 'kaplan-meier', 'cox', 'kernel', or a"),
     ],
 )
 def test_a_name_that_is_none_and_covariates_that_are_not_used_or_lacking_are_refused(model, covariates, message):

@@ -203,7 +203,7 @@ def test_refuses_what_does_not_match(options, message):
 def test_few_effective_weights_warn_with_a_remedy_and_enough_do_not():
     with pytest.warns(HalfseenWarning, match=r"effective sample size of 9.0.*record more trajectories.*truncate_at"):
         warn_if_few(weight_diagnostics(np.ones(9)))
-    with pytest.warns(HalfseenWarning, match="None of 3 were seen"):
+    with pytest.warns(HalfseenWarning, match="None of 3 weights is above 0"):
         warn_if_few(weight_diagnostics(np.zeros(3)))
     warn_if_few(weight_diagnostics(np.ones(10)))
 
@@ -230,7 +230,7 @@ def test_weights_at_the_bound_count_as_truncated(weights, bound, share):
 def test_nothing_seen_is_worth_nothing(weights):
     worth = weight_diagnostics(weights)
     assert (worth.num_seen, worth.effective_sample_size, worth.largest_at) == (0, 0.0, None)
-    assert str(worth) == f"None of {np.size(weights)} were seen, so there are no weights."
+    assert str(worth) == f"None of {np.size(weights)} weights is above 0."
 
 
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])

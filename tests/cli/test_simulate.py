@@ -110,7 +110,7 @@ def test_a_robot_has_the_law_that_its_file_names(refused, tmp_path):
 
 def test_learn_says_for_how_many_robots_and_keeps_it(house, learned):
     lines = learned.stdout.splitlines()
-    assert "looks at    tables of 2 robots, and what each is doing; it decides for whichever is free" in lines
+    assert "looks at    tables of 2 robots, and what each is doing; it decides for the robot that is free" in lines
     assert "Q           linear, stages pooled, horizon 6, 3 decisions of each robot" in lines
     assert lines[-1] == f"Next: halfseen evaluate {house / 'team-policy'} --world --team ROBOTS"
     assert learned.stderr == ""

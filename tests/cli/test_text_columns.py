@@ -99,7 +99,7 @@ def test_act_takes_text_as_csv_or_json_and_tells_what_speaks_for_the_action(fold
     q = policy.q_values(row.assign(colour=commonest), 1)[0]
     assert (report["action"], commonest, report["warnings"]) == ("A", "red", [])
     assert report["reason"].endswith(
-        "that colour is blue speaks for it most: were it red, most often in the logs, it would be worth "
+        "mainly because colour is blue: at red (most frequent in the logs), it would be worth "
         f"{q[1] - q[0]:.2f} less than B."
     )
 

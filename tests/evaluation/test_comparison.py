@@ -81,6 +81,11 @@ def test_better_is_better_than_each_and_among_many_one_small_p_value_is_no_evide
     assert deciding(one) is one[0]
     assert "more a trajectory than baseline 0, though" in joint_reason(one)
     assert "more than baseline 1" in joint_reason(one).partition("; ")[0]
+    ours, theirs = drawn(2.2, 3.0)
+    theirs[1] = theirs[1]._replace(why_unknown="the log does not show it; log it")
+    two = compared(ours, theirs, 0.95)
+    assert joint_reason(two).startswith("the log does not show it, though it earns ")
+    assert joint_reason(two).endswith(" more than baseline 0; log it")
     ours, theirs = drawn(2.2, 0.1, -0.3, 0.2)
     first, *_ = compared(ours, theirs, 0.95)
     assert first.difference.low > 0

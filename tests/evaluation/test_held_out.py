@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 from enumerated_trial import CHANCE_B, StatePolicy, problem, trial, truth
 
+from halfseen.errors import ArgumentError
 from halfseen.evaluation import FixedSequence, evaluate, held_out_verdict
 from halfseen.evaluation.comparison import Contender, compared
 from halfseen.evaluation.estimate import Estimate
@@ -304,3 +305,8 @@ def test_a_guess_of_which_nothing_is_known_says_why():
     assert guess_of(hidden) == "unknown; no action is known"
     doubted = guess_of(replace(found.best, doubt="the log cannot be true"))
     assert doubted.endswith(" a trajectory than the logging policy, not provable while the log is in doubt")
+
+
+def test_a_policy_in_place_of_a_learner_is_refused():
+    with pytest.raises(ArgumentError, match="learner is a StatePolicy; give a CensoredQLearner"):
+        held_out_verdict(POLICY, log(16, num_trajectories=100))

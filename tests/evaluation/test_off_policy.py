@@ -174,7 +174,9 @@ def test_where_a_log_never_explored_q_alone_makes_nothing_better():
     other = found_of(StatePolicy((0.0, 0.0)), logs)
     assert other.verdict == "inconclusive"
     share = (logs.stages["x"] == 1)[logs.stages["elapsed_s"].notna()].mean()
-    assert f"in {share:.0%} of the stages the policy does something else where the log took" in other.reason
+    assert (
+        f"in {share:.0%} of the stages the policy deviates from the log where the log took its action" in other.reason
+    )
     # As the log does, but in one stage of a hundred.
     assert found_of(StatePolicy((0.0, 0.99)), logs).verdict != "inconclusive"
     assert "something else" not in found_of(StatePolicy((0.0, 1.0)), logs).reason
@@ -198,12 +200,22 @@ def test_an_unlogged_rule_that_never_explores_makes_nothing_better(seed):
     found = evaluate(FixedSequence(("A",)), logs, propensity="estimated", against="logging")
     assert found.fitted_q.low > found.logging.high
     assert found.verdict == "inconclusive"
-    assert (
-        "of the stages the policy does something else where the log took its action with probability 1" in found.reason
-    )
+    assert "of the stages the policy deviates from the log where the log seems never to do so" in found.reason
     learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x"]).fit(logs)
     assert set(learner.decide(pd.DataFrame({"x": [-1.0, -0.5]}), 1)) == {"A"}
     assert held_out_verdict(learner, logs).verdict == "inconclusive"
+
+
+def test_chance_in_many_covariates_is_no_lack_of_exploration():
+    # A model of the actions with many coefficients fits the actions that it was fitted to too well.
+    rng, rows = np.random.default_rng(0), np.arange(200)
+    action = np.where(rng.random(200) < 0.3, rng.choice(["B", "C", "D"], 200), "A")
+    x = {f"x{k}": rng.normal(size=200) for k in range(5)}
+    stages = {"trajectory": rows, "stage": 1, "action": action, "elapsed_s": 1.0, "reward": rng.normal(size=200), **x}
+    logs = Logs(pd.DataFrame(stages), pd.DataFrame({"trajectory": rows, "end_s": 1.0, "ending": "finished"}))
+    policy = CensoredQLearner.of_paper(1, ["A", "B", "C", "D"], list(x)).fit(logs).policy_
+    found = evaluate(policy, logs, propensity="estimated", against="logging")
+    assert "the outcome is unknown" not in found.reason
 
 
 def test_an_unlogged_rule_that_explores_is_judged():
@@ -295,3 +307,23 @@ def test_what_does_not_fit_is_told_in_one_line(policy, options, message):
     with pytest.raises((ArgumentError, LogError), match=message) as refusal:
         found_of(policy, log(16), **options)
     assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"logs": pd.DataFrame({"trajectory": [0]})}, "logs is a DataFrame; give Logs, as read_logs returns"),
+        ({"q": "linear"}, "q is 'linear'; give QSpec"),
+        ({"trust": "covariates"}, "trust is 'covariates'; give a list of some of probabilities, covariates, endings"),
+    ],
+)
+def test_arguments_of_another_type_are_refused_in_one_line(changed, message):
+    given = {"logs": log(16, num_trajectories=100)} | changed
+    with pytest.raises(ArgumentError, match=message):
+        evaluate(TARGET, **given)
+
+
+@pytest.mark.parametrize("sequence", [(), "AB"])
+def test_a_sequence_that_is_empty_or_text_is_refused(sequence):
+    with pytest.raises(ArgumentError, match="give a tuple of names, one for each stage"):
+        FixedSequence(sequence)

@@ -7,6 +7,7 @@ import pytest
 
 from halfseen.arrays import known_to_jax, mapped
 from halfseen.cli import inputs
+from halfseen.errors import ArgumentError
 from halfseen.planners import (
     HEURISTICS,
     PLANNER,
@@ -134,6 +135,11 @@ def test_others_go_by_names_too():
     assert named_policy(PLANNER, PAIR) == RolloutPolicy(PAIR, MyopicPolicy(PAIR))
     # One robot with a reach of its own is a team, too.
     assert named_policy(PLANNER, CONFIG, is_team=True) == RolloutPolicy(CONFIG, MyopicPolicy(CONFIG))
+
+
+def test_a_name_that_is_none_is_refused():
+    with pytest.raises(ArgumentError, match=r"policy is 'best'; give one of greedy, history, .*, planner"):
+        named_policy("best", CONFIG)
 
 
 def test_the_study_and_the_cell_know_the_same_names():

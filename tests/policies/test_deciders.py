@@ -335,19 +335,19 @@ ROW, FLAG = {"x1": 0.8, "x2": 3.0}, {"x1": (0.0, 1.0), "x2": (0.0, 1.0)}
             ROW,
             1,
             {"x1": (-1.0, 1.0), "x2": (0.0, 4.0)},
-            "A: worth 0.30 more than B; that x1 is 0.8 speaks for it most: were it 0, the middle in the logs, it would "
+            "A: worth 0.30 more than B; mainly because x1 is 0.8: at 0 (mid-range in the logs), it would "
             "be worth 0.50 less than B.",
         ),
         (
             ROW,
             1,
             {"x1": (0.9, 1.1), "x2": (0.0, 4.0)},
-            "A: worth 0.30 more than B; no covariate speaks for it more than its usual value in the logs does.",
+            "A: worth 0.30 more than B; no covariate favours it more than its usual value does.",
         ),
         (ROW, 1, None, "A: worth 0.30 more than B."),
-        ({"x1": True, "x2": 1.0}, 1, FLAG, "... that x1 is 1 speaks for it most: were it 0, it"),
-        ({"x1": False, "x2": 1.0}, 1, FLAG, "... x1 is 0 speaks for it most: were it 1"),
-        ({"x1": 3, "x2": 1}, 1, {"x1": (0.0, 3.0), "x2": (0.0, 4.0)}, "... most: were it 1, the middle in the logs"),
+        ({"x1": True, "x2": 1.0}, 1, FLAG, "... mainly because x1 is 1: at 0, it"),
+        ({"x1": False, "x2": 1.0}, 1, FLAG, "... x1 is 0: at 1"),
+        ({"x1": 3, "x2": 1}, 1, {"x1": (0.0, 3.0), "x2": (0.0, 4.0)}, "... at 1 (mid-range in the logs)"),
         (ROW, 2, None, "C: no other action is possible."),
     ],
 )

@@ -168,7 +168,8 @@ def test_an_address_at_which_nobody_answers_is_told(engine, address):
         ({"engine": "spark"}, "--engine spark: choose among processes, ray, dask"),
         ({"address": "there"}, "--address there: processes of this machine have no address; name an --engine"),
         ({"engine": "ray", "address": "there", "num": 2}, "--workers 2: the cluster at there sets its own number"),
-        ({"num": 0}, "--workers 0: give at least 1"),
+        ({"num": 0}, "--workers 0: give a whole number, at least 1"),
+        ({"num": 2.5}, "--workers 2.5: give a whole number, at least 1"),
     ],
 )
 def test_workers_that_there_cannot_be_are_refused(told, words):

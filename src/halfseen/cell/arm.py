@@ -23,7 +23,7 @@ LEAST_JOINTS = 5  # with fewer, an arm cannot orient its hand
 
 @runtime_checkable
 class SerialArm(Protocol):
-    """An arm that a `Robot` can have."""
+    """An arm that a `MountedArm` can have."""
 
     @property
     def name(self) -> str:

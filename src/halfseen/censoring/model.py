@@ -63,7 +63,7 @@ def is_fitted(model: Any) -> bool:
     own_word = getattr(model, "__sklearn_is_fitted__", None)
     if own_word is not None:
         return bool(own_word())
-    return any(name.endswith("_") and not name.startswith("_") for name in vars(model))
+    return any(name.endswith("_") and not name.startswith("_") for name in getattr(model, "__dict__", ()))
 
 
 def uses_covariates(model: CensoringModel) -> bool:

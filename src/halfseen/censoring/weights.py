@@ -53,10 +53,10 @@ class WeightDiagnostics:
 
     def __str__(self) -> str:
         if self.num_seen == 0:
-            return f"None of {self.num_weights} were seen, so there are no weights."
+            return f"None of {self.num_weights} weights is above 0."
         truncated = f", and {self.share_truncated:.1%} of the weight is truncated" if self.share_truncated else ""
         return (
-            f"{self.num_seen} of {self.num_weights} were seen, with an effective sample size of "
+            f"{self.num_seen} of {self.num_weights} weights are above 0, with an effective sample size of "
             f"{self.effective_sample_size:.1f}; the largest weight is {self.largest_weight:.3g}{truncated}."
         )
 

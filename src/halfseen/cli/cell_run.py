@@ -129,7 +129,7 @@ def _lines(report: dict[str, Any]) -> list[str]:
 
     def estimated(estimate: dict[str, float] | None) -> str:
         if estimate is None:
-            return "inconclusive: fewer than two tables were finished"
+            return "unknown, as fewer than two tables finished"
         return f"{estimate['value']:+.2f} ({estimate['low']:+.2f} to {estimate['high']:+.2f})"
 
     earned, together = f"reward in physics   {estimated(report['reward'])}", report["together"]
@@ -142,7 +142,7 @@ def _lines(report: dict[str, Any]) -> list[str]:
         f"{report['folder']}: {report['sentence']}",
         "",
         earned,
-        f"  by luck           {estimated(report['luck'])}: which cups were dirty, beyond what was believed",
+        f"  by luck           {estimated(report['luck'])} (from dirt other than believed)",
         f"  without luck      {estimated(report['without_luck'])}",
         *predicted,
         *(gaps if predicted else []),

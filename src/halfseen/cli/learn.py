@@ -172,17 +172,17 @@ def learn(
 
     Logs with objects are of tables: the policy chooses among WASH, LIFT and FINISH. Otherwise, or with --covariates, it
     chooses among the actions that were seen at each stage. Stages of cut trajectories are used, too. If LOGS have
-    several robots at a table, one policy decides for whichever is free, and may let it WAIT.
+    several robots at a table, one policy decides for the robot that is free, and may let it WAIT.
 
-    If the cell has changed within LOGS, in the order of their trajectories, it says which part, since when, and how to
-    learn only from what still holds; by default all of LOGS are used. `halfseen convert OLD NEW --out LOGS` joins logs
-    in their order.
+    If the cell changed within LOGS, in the order of their trajectories, a warning says what changed, since when, and
+    how to learn from the later part alone; by default all of LOGS are used. `halfseen convert OLD NEW --out LOGS` joins
+    logs in their order.
 
     It ends with a verdict: do policies that are learned this way beat the logging policy, with and without its
-    exploration? Five are learned from four fifths of LOGS each and tested on the rest, which they never saw: the best
-    guess, and more cautious policies, which more often do as LOGS do. The one with the largest gain that LOGS can vouch
-    for is written. The verdict is stored with the policy, and `halfseen act` repeats it if there is no evidence for the
-    policy. Workers share long work.
+    exploration? Five are learned, each from four fifths of LOGS, and tested on the rest: as the best guess, and with
+    more caution, taking the actions of LOGS more often. The caution with the largest gain that LOGS can vouch for is
+    used for the policy that is written. The verdict is stored with it, and `halfseen act` repeats it if there is no
+    evidence for the policy. Workers share long work.
     """
     from halfseen.policies.folder.files import check_target
 

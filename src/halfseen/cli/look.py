@@ -39,6 +39,7 @@ ENDINGS = (".pcd", ".ply", ".npz")  # of cloud files in a folder
 @options.overwrite("a picture that is")
 @options.labels
 @options.workers
+@options.unused_seed
 def look(
     clouds: tuple[Path, ...],
     is_json: bool,
@@ -97,9 +98,9 @@ def _table(view: "View", found: "FirstLook") -> list[str]:
         numbers = [f"{x:.3f}", f"{y:.3f}", f"{z:.3f}", f"{seen.height_m:.3f}"]
         rows.append([str(seen.id), *numbers, pose, str(seen.num_points), f"{seen.occlusion:.2f}", ", ".join(by) or "-"])
     if found.labels is not None:
-        told = zip(found.labels, found.chances, strict=True)
+        labelled = zip(found.labels, found.chances, strict=True)
         labels = [("in view", "label", "P(dirty)")]
-        labels += [(f"{label.share_in_view:.2f}", label.word, f"{chance:.2f}") for label, chance in told]
+        labels += [(f"{label.share_in_view:.2f}", label.word, f"{chance:.2f}") for label, chance in labelled]
         rows = [[*row, *label] for row, label in zip(rows, labels, strict=True)]
     left = ("pose", "hidden by", "label")
     return aligned(rows, left=tuple(rows[0].index(name) for name in left if name in rows[0]))
@@ -238,7 +239,7 @@ def watch(
     SOURCE is a point cloud as `halfseen look` takes it, with --policy for what is decided there; a recording, as
     `halfseen cell run --record` writes it; or a folder of logs with --clouds, as `halfseen convert` writes them.
     """
-    from halfseen.view.recording import MARKER
+    from halfseen.view.recording import MARKER, read_recording
 
     for file in export:
         refuse_output(file, "an exported run", FORMS, overwrite, [source])
@@ -252,7 +253,7 @@ def watch(
             )
 
     if kind == "recording":
-        runs = _of_recording(source)
+        runs = iter([read_recording(source)])
     elif kind == "logs":
         runs = _of_logs(source, given["clouds"], given["trajectory"], given["policy"])
     else:
@@ -296,12 +297,6 @@ def _export(files: tuple[Path, ...], watched: "Watched") -> None:
         say(f"{file}: {len(watched.stages)} stage{'' if len(watched.stages) == 1 else 's'}")
 
 
-def _of_recording(folder: Path) -> "Iterator[Watched]":
-    from halfseen.view.recording import read_recording
-
-    yield read_recording(folder)
-
-
 def _of_cloud(
     file: Path, policy: Path | None, history: Path | None, labels: Path | None, law: str | None
 ) -> "Iterator[Watched]":
@@ -328,8 +323,8 @@ def _of_cloud(
     schema = stored.record["schema"]
     known = law_of(law or SHIPPED) if stored.counts_views else None
     if history is None:
-        told = first_look(view, cloud, labels, schema["dirty_share"], *([known.seeing] if known else []))
-        yield watched_cloud(cloud, view, None, None, 0, told)
+        dirt = first_look(view, cloud, labels, schema["dirty_share"], *([known.seeing] if known else []))
+        yield watched_cloud(cloud, view, None, None, 0, dirt)
     now = read_observation(stored, file, history, None, labels, known)
     assert isinstance(now, Present), "a policy of tables decides where a table's trajectory stands"
     yield watched_cloud(cloud, view, now, decider_of(stored, extrapolates=True).decide(now), stored.horizon)

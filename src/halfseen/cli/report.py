@@ -59,11 +59,9 @@ STAGES = {
 def inspect(logs: Path, missing: dict[str, str] | None, as_json: bool) -> None:
     """Say what LOGS holds: trajectories, endings and causes, stages, actions, and what their weights rest on.
 
-    LOGS may be finished, or what a recorder has written so far, torn by a crash or still running. What breaks no rule
-    but looks wrong comes first.
+    LOGS may be complete, still being recorded, or left by a recorder that crashed. What looks wrong comes first.
 
-    The effective sample size is the number of equally weighted stages that would say as much as those that were seen,
-    weighted for those that were cut.
+    The effective sample size is the number of equally weighted stages that are as precise as the weighted ones.
     """
     with Progress(2, "start") as bar:
         from halfseen.logs import read_logs

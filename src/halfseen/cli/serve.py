@@ -109,7 +109,7 @@ class _ShareOrTable(click.ParamType):
     "is_template",
     text="Only print a mapping template for this policy, or write it to --mapping.",
 )
-@options.seed("draws of --explore and deals of --against")
+@options.seed("draws of --explore and assignments of --against")
 def serve(
     policy: Path,
     host: str,

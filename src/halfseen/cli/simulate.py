@@ -79,7 +79,7 @@ def simulate(
     "-penalty" counts the cost of leaving dirty objects behind. Cuts come at a constant rate (independent), sooner
     where much is hidden (occlusion), or when an attempt takes long (attempt).
 
-    With --team, whichever robot is free decides, and a cut ends the table for all. The heuristics then leave alone what
+    With --team, the robot that is free decides, and a cut ends the table for all. The heuristics then leave alone what
     another robot is handling, and count the team's cost of time.
     """
     if out.exists() and not overwrite:

@@ -216,7 +216,9 @@ def joint_reason(comparisons: Sequence[Comparison]) -> str:
         return main.reason
     more = [(each.difference.value, each.baseline) for each in beaten if each.difference is not None]
     others = " and ".join(f"{gain:.3g} more than {baseline}" for gain, baseline in more)
-    return f"{why}, {'and' if main.verdict == 'better' else 'though'} {others}{semicolon}{remedy}"
+    # A reason without an interval does not begin with what the policy earns.
+    though = "though" if main.adjusted_p is not None else "though it earns"
+    return f"{why}, {'and' if main.verdict == 'better' else though} {others}{semicolon}{remedy}"
 
 
 def share_of(policy: Contender, today: Contender, level: float) -> Estimate | None:

@@ -232,8 +232,12 @@ def held_out_verdict(
     Raises
     ------
     ArgumentError
-        There are fewer than 2 folds.
+        `learner` is not a `CensoredQLearner`, or there are fewer than 2 folds.
     """
+    if not isinstance(learner, CensoredQLearner):
+        raise ArgumentError(
+            f"learner is a {type(learner).__name__}; give a CensoredQLearner that was fitted to the log"
+        )
     check_fitted(learner, "policy_")
     if num_folds < 2:
         raise ArgumentError(f"num_folds is {num_folds}; give at least 2")

@@ -70,9 +70,9 @@ def kept_promise(promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_ow
 
     `halfseen.policies.folder` stores the promise.
     """
-    promised, told = promise["value"], drifts_of(promise["stages"], logs)
+    promised, drifts = promise["value"], drifts_of(promise["stages"], logs)
     if promised is None:
-        return PromiseCheck("", *told)
+        return PromiseCheck("", *drifts)
     verb = "earned" if is_own else "would earn"
     earning = f"{verb} {earned.value:.3g} a trajectory here ({earned.low:.3g} to {earned.high:.3g})"
     error = float(np.hypot(promised["standard_error"], earned.standard_error))
@@ -80,7 +80,7 @@ def kept_promise(promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_ow
     words = "less than promised" if less > 0 else "more than promised"
     words = "as promised" if abs(less) <= AS_PROMISED * error else words
     range_ = f"{promised['low']:.3g} to {promised['high']:.3g}"
-    return PromiseCheck(f"Promised {promised['value']:.3g} a trajectory ({range_}); it {earning}: {words}.", *told)
+    return PromiseCheck(f"Promised {promised['value']:.3g} a trajectory ({range_}); it {earning}: {words}.", *drifts)
 
 
 def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -59,9 +59,9 @@ def doubt_of(logs: Logs, task: Task, has_probability: bool, trust: Collection[st
     trust
         Subset of `TRUST`: checks to omit.
     """
-    unknown = [name for name in trust if name not in TRUST]
+    unknown = [trust] if isinstance(trust, str) else [name for name in trust if name not in TRUST]
     if unknown:
-        raise ArgumentError(f"trust is {unknown[0]!r}; give some of {', '.join(TRUST)}")
+        raise ArgumentError(f"trust is {unknown[0]!r}; give a list of some of {', '.join(TRUST)}")
     looked_at = getattr(task, "covariates", ())
     checks = {
         PROBABILITIES: (untrue_probabilities(logs) if has_probability else ()),
@@ -220,6 +220,7 @@ def _case(name: str, problem: EvaluationProblem, nuisances: Sequence[Nuisances])
         settled.trajectories_for_one,
         FEWEST_TRAJECTORIES if settled.marginal is None else FEWEST_BY_STATES,
         settled.unexplored,
+        is_estimated=settled.chances is not None,
     )
     return Case(settled, judged, found._replace(why_unknown=why))
 
@@ -307,6 +308,10 @@ def judging(
     workers: Workers = ALONE,
 ) -> Iterator[Judge]:
     """Prepare a log for evaluating a policy, and others of the same task; parameters as in `evaluate`."""
+    if not isinstance(logs, Logs):
+        raise ArgumentError(f"logs is a {type(logs).__name__}; give Logs, as read_logs returns")
+    if not isinstance(q, QSpec | None):
+        raise ArgumentError(f"q is {q!r}; give QSpec(q_function=…), or None for the default")
     check_level(level)
     check_seed(random_state)
     if propensity not in get_args(Propensity):

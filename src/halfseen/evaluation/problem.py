@@ -19,6 +19,7 @@ from halfseen.evaluation.weights import (
     completed_weights,
     cross_fitted,
     estimated_chances,
+    held_out_chances,
     judged_without,
     likelihood_ratios,
     logged_propensity,
@@ -64,7 +65,7 @@ class EvaluationProblem(NamedTuple):
     unexplored: float = 0.0
     """Share of the stages in which the policy deviates where the log never did."""
     chances: Float[np.ndarray, "n T A"] | None = None
-    """b(a | S_t) of known stages, if it is estimated."""
+    """b(a | S_t) of known stages, if it is estimated; without the trajectory's own fold."""
     squared_ratio: float = 1.0
     """E[ρ²] of whole trajectories."""
     is_revealed: bool = False
@@ -192,6 +193,7 @@ def problem_of(
             "trajectories were cut; choose 'kaplan-meier', 'cox' or 'kernel'"
         )
     task, is_begun = model.task, trajectories.is_begun
+    fold = rng.permutation(trajectories.num_trajectories) % num_folds
     probabilities = target_probabilities(policy, logs, trajectories, task)
     whole = nuisances_of(model, trajectories)
     log = model.weighted(trajectories, whole.weight, whole.imputation, model.folds(trajectories.num_trajectories))
@@ -201,9 +203,9 @@ def problem_of(
         likely = logged_propensity(trajectories, needed)
     else:
         is_pooled = model.stages == "pooled" and is_alike(task)
-        chances = estimated_chances(trajectories, model.blocks(probabilities.shape[-1]), is_pooled)
-        likely = np.where(needed, of_taken(chances, trajectories), 1.0)
-    fold = rng.permutation(trajectories.num_trajectories) % num_folds
+        blocks = model.blocks(probabilities.shape[-1])
+        likely = np.where(needed, of_taken(estimated_chances(trajectories, blocks, is_pooled), trajectories), 1.0)
+        chances = held_out_chances(trajectories, blocks, is_pooled, fold, NUM_FOLDS)
     nuisances = (*nuisances_by_folds(model, trajectories, whole, fold), whole)
     alike, support = np.ones_like(likely), np.ones(logs.horizon)
     beyond = np.zeros((*is_begun.shape, 0))
@@ -233,7 +235,7 @@ def following(
         squared_ratio=mean_squared_ratio(single, trajectories),
         support=_support(followed, trajectories)[: problem.logs.horizon],
         unseen=_unseen(probabilities, trajectories, problem.model),
-        unexplored=_unexplored(followed, problem, single),
+        unexplored=_unexplored(followed, problem),
         is_revealed=is_taken is not None,
         marginal=marginal,
         has_history=False,
@@ -281,9 +283,7 @@ def _support(probabilities: Float[np.ndarray, "n T A"], trajectories: Trajectory
     return np.where(known.any(axis=0), (known & taken).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 1.0)
 
 
-def _unexplored(
-    probabilities: Float[np.ndarray, "n T A"], problem: EvaluationProblem, single: Float[np.ndarray, "n T"]
-) -> float:
+def _unexplored(probabilities: Float[np.ndarray, "n T A"], problem: EvaluationProblem) -> float:
     """Share of the completed stages in which the policy would take an action that the log could not take."""
     trajectories, likely = problem.trajectories, problem.likely
     known = trajectories.is_completed & trajectories.has_action
@@ -291,18 +291,26 @@ def _unexplored(
     share = float(other.sum() / max(int(known.sum()), 1))
     if problem.chances is None:
         return share
+    least = np.maximum(of_taken(problem.chances, trajectories), 1.0 / LARGEST_RATIO)
+    single = of_taken(probabilities, trajectories) / least
     return max(share, _not_stood_for(single, trajectories), _not_tried(probabilities, problem.chances, trajectories))
 
 
 CLEAR_LACK = 2.0
 """Standard errors by which a sum is too small by more than chance."""
 
+LARGEST_RATIO = 100.0
+"""Of π/b: one stage just beyond an estimated border says nothing of the others."""
+
+NUM_FOLDS = 5
+"""Of the estimate of b."""
+
 
 def _not_stood_for(single: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays) -> float:
     """Share of the stages that those which follow the policy do not represent; 0 unless it is clear.
 
     π/b has mean 1 wherever the log may do what the policy does. An estimated b is above 0 also where the log never
-    does, but no stage there has the weight.
+    does, but no stage there has the weight. Fitted to the same actions, b would be too large, and the mean too small.
     """
     known = trajectories.is_begun & trajectories.has_action
     lacking, num_known = np.where(known, 1.0 - single, 0.0).sum(axis=1), max(int(known.sum()), 1)

@@ -35,6 +35,11 @@ class FixedSequence:
     sequence
         The action of each stage.
 
+    Raises
+    ------
+    ArgumentError
+        There is no stage, or the names are one text.
+
     Examples
     --------
     >>> FixedSequence(("B", "A")).probabilities(pd.DataFrame(index=range(2)), stage=1)
@@ -43,6 +48,10 @@ class FixedSequence:
     """
 
     sequence: tuple[Hashable, ...]
+
+    def __post_init__(self) -> None:
+        if isinstance(self.sequence, str) or not self.sequence:
+            raise ArgumentError(f"sequence is {self.sequence!r}; give a tuple of names, one for each stage")
 
     @property
     def actions(self) -> tuple[Hashable, ...]:

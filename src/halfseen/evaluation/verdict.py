@@ -108,6 +108,8 @@ def why_unknown(
     trajectories_for_one: float = np.inf,
     fewest: float = FEWEST_TRAJECTORIES,
     unexplored: float = 0.0,
+    *,
+    is_estimated: bool = False,
 ) -> str | None:
     """Return why a log does not identify the value of a policy; None if it does.
 
@@ -129,6 +131,8 @@ def why_unknown(
         The smallest effective sample size that is accepted.
     unexplored
         Share of the stages in which the policy deviates where the log never did.
+    is_estimated
+        Whether the probabilities of the logged actions were estimated.
     """
     if unseen is not None:
         return (
@@ -142,9 +146,10 @@ def why_unknown(
             "such actions, uniformly at random now and then"
         )
     if unexplored > MOST_UNEXPLORED:
+        why = "the log seems never to do so" if is_estimated else "the log took its action with probability 1"
         return (
-            f"in {unexplored:.0%} of the stages {who} does something else where the log took its action with "
-            "probability 1, so the outcome is unknown; explore there now and then, as halfseen serve --explore does"
+            f"in {unexplored:.0%} of the stages {who} deviates from the log where {why}, so the outcome is unknown; "
+            "explore there now and then, as halfseen serve --explore does"
         )
     if effective_sample_size < fewest:
         return (

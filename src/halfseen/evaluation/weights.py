@@ -68,19 +68,45 @@ def logged_propensity(trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray
 
 
 def estimated_chances(
-    trajectories: TrajectoryArrays, blocks: Int[np.ndarray, " A"], is_pooled: bool
+    trajectories: TrajectoryArrays,
+    blocks: Int[np.ndarray, " A"],
+    is_pooled: bool,
+    is_fitted: Bool[np.ndarray, " n"] | None = None,
 ) -> Float[np.ndarray, "n T A"]:
-    """Estimate b(a | S_t) from the actions of all known stages, by one model or one per stage; 0 elsewhere."""
+    """Estimate b(a | S_t) of all known stages, by one model or one per stage; 0 elsewhere.
+
+    `is_fitted` are the trajectories whose actions are used; None for all.
+    """
     known = trajectories.is_begun & trajectories.has_action
     chances = np.zeros(trajectories.is_possible.shape)
+    used = np.ones(len(known)) if is_fitted is None else is_fitted.astype(float)
+    weight = np.broadcast_to(used[:, None], known.shape)
     num_stages = known.shape[1]
     for stages in [slice(None)] if is_pooled else [slice(t, t + 1) for t in range(num_stages)]:
         rows = np.zeros_like(known)
         rows[:, stages] = known[:, stages]
-        if rows.any():
+        if weight[rows].any():
             chances[rows] = conditional_logit(
-                trajectories.features[rows], trajectories.is_possible[rows], trajectories.action[rows], blocks
+                trajectories.features[rows],
+                trajectories.is_possible[rows],
+                trajectories.action[rows],
+                blocks,
+                weight[rows],
             )
+    return chances
+
+
+def held_out_chances(
+    trajectories: TrajectoryArrays,
+    blocks: Int[np.ndarray, " A"],
+    is_pooled: bool,
+    fold: Int[np.ndarray, " n"],
+    num_folds: int,
+) -> Float[np.ndarray, "n T A"]:
+    """Estimate b(a | S_t) of all known stages without the actions of the trajectory's own fold."""
+    chances, fold = np.zeros(trajectories.is_possible.shape), fold % num_folds
+    for k in range(num_folds):
+        chances[fold == k] = estimated_chances(trajectories, blocks, is_pooled, fold != k)[fold == k]
     return chances
 
 

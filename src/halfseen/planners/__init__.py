@@ -14,6 +14,7 @@ upper bound for larger tables). `discrete` is separate: it solves any POMDP give
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from halfseen.errors import ArgumentError
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
@@ -90,11 +91,18 @@ def named_policy(
         Probability of a uniformly random action at each step.
     is_team
         Whether the policy is for robots with individual reach; by default, whether there are several robots.
+
+    Raises
+    ------
+    ArgumentError
+        There is no policy of this name.
     """
     # Imported here, as names are needed before the world is loaded; each planner loads on first use.
     from halfseen import planners
     from halfseen.world import UniformPolicy
 
+    if name not in (known := (*HEURISTICS, UNIFORM, PLANNER)):
+        raise ArgumentError(f"policy is {name!r}; give one of {', '.join(known)}")
     is_team = config.num_robots > 1 if is_team is None else is_team
     policy: Policy
     if name == UNIFORM:

@@ -135,8 +135,8 @@ def explain(
     >>> from halfseen.world.state import initial_state, pad_scenes
     >>> config = WorldConfig()
     >>> layout = mapped(lambda leaf: leaf[0], pad_scenes([Scene(np.zeros((1, 1)))]))
-    >>> told = explain(config, initial_state(config, layout), random.key_of(0))
-    >>> told.actions[told.best]
+    >>> found = explain(config, initial_state(config, layout), random.key_of(0))
+    >>> found.actions[found.best]
     'LIFT 0'
     """
     if num_rollouts < 2:

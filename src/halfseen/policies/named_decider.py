@@ -194,11 +194,11 @@ def flat_reason(
     least = int(np.argmin(left))
     name = policy.covariates[least]
     if q[best] - q[other] - left[least] < SAME_VALUE:
-        return f"{start}; no covariate speaks for it more than its usual value in the logs does."
+        return f"{start}; no covariate favours it more than its usual value does."
     is_value, is_other = _written(row[name], 6), _written(instead[name], 3)
     would = f"worth {abs(left[least]):.2f} {'more' if left[least] >= 0 else 'less'} than {names[other]}"
-    usual = "" if _is_switch(ranges[name], row[name]) else f", {_usual(ranges[name])} in the logs"
-    return f"{start}; that {name} is {is_value} speaks for it most: were it {is_other}{usual}, it would be {would}."
+    usual = "" if _is_switch(ranges[name], row[name]) else f" ({_usual(ranges[name])} in the logs)"
+    return f"{start}; mainly because {name} is {is_value}: at {is_other}{usual}, it would be {would}."
 
 
 def _instead(seen: Range, value: Any) -> float | str:
@@ -215,7 +215,7 @@ def _is_switch(seen: Range, value: Any) -> bool:
 
 
 def _usual(seen: Range) -> str:
-    return "most often" if isinstance(seen, Mapping) else "the middle"
+    return "most frequent" if isinstance(seen, Mapping) else "mid-range"
 
 
 def _written(value: Any, num_digits: int) -> str:

@@ -31,7 +31,7 @@ class Workers:
     Raises
     ------
     ArgumentError
-        No such engine, or an address is given for processes of this machine.
+        There is no such engine, the number is not a whole number of at least 1, or it does not go with the address.
     """
 
     num: int | None = None
@@ -49,8 +49,8 @@ class Workers:
             raise ArgumentError(
                 f"--workers {self.num}: the cluster at {self.address} sets its own number; leave --workers out"
             )
-        if self.num is not None and self.num < 1:
-            raise ArgumentError(f"--workers {self.num}: give at least 1")
+        if self.num is not None and not (isinstance(self.num, int) and self.num >= 1):
+            raise ArgumentError(f"--workers {self.num}: give a whole number, at least 1")
 
     @contextmanager
     def ready(self) -> Iterator[Pool]:

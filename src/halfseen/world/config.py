@@ -50,8 +50,8 @@ class WorldConfig:
     Raises
     ------
     ArgumentError
-        There is no robot; a speed is not positive, a price positive, or a hazard negative; or the number of hazards or
-        of laws of grasping differs from the number of robots.
+        There is no robot; a number is not finite or out of its range; or the number of hazards or of laws of grasping
+        differs from the number of robots.
     """
 
     dirty_share: Number = 0.6
@@ -76,7 +76,10 @@ class WorldConfig:
                 f"drop_out_rate has {len(self.drop_out_rate)} entries for {self.num_robots} robots; give one "
                 "for each robot, 0 if it never drops out"
             )
-        check_number("reward_per_s", self.reward_per_s)
+        if not is_whole(self.horizon, 1):
+            raise ArgumentError(f"horizon is {self.horizon!r}; give a whole number of actions, at least 1")
+        for name in ("dirty_share", "transport_s", "reward_per_s", *_REWARDS):
+            check_number(name, getattr(self, name))
         for name, each in (("speed", self.speed), ("drop_out_rate", self.drop_out_rate or ())):
             for robot, value in enumerate(each):
                 check_number(name, value, f"{name} of robot {robot}")
@@ -115,8 +118,18 @@ class WorldConfig:
         return replace(self, grasping=replace(self.grasping, robot=robot))
 
 
+_REWARDS = (
+    "reward_wash_dirty",
+    "reward_wash_clean",
+    "reward_wash_failed",
+    "reward_lift_per_s",
+    "reward_dirty_left",
+)
 PlainNumber: TypeAlias = int | float | np.integer | np.floating
 _PARAMETERS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
+    "dirty_share": (lambda value: 0 <= value <= 1, "a probability, in [0, 1]"),
+    "transport_s": (lambda value: value >= 0, "a finite time, 0 or above [s]"),
+    **dict.fromkeys(_REWARDS, (lambda value: True, "a finite reward")),
     "reach_m": (lambda value: value > 0, "a finite number above 0 [m]"),
     "speed": (lambda value: value > 0, "a finite number above 0"),
     "drop_out_rate": (lambda value: value >= 0, "a finite hazard, 0 or above [1/s]"),
@@ -130,6 +143,11 @@ _PARAMETERS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
 def is_number(value: object) -> TypeGuard[PlainNumber]:
     """Whether a value is a Python or NumPy number; a boolean is not."""
     return isinstance(value, PlainNumber) and not isinstance(value, bool)
+
+
+def is_whole(value: object, least: int) -> bool:
+    """Whether a value is a whole number of at least `least`."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= least
 
 
 def is_finite(value: PlainNumber) -> bool:

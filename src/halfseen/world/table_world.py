@@ -8,7 +8,7 @@ import numpy as np
 from halfseen.errors import ArgumentError
 from halfseen.logs import Logs
 from halfseen.world import random
-from halfseen.world.config import WorldConfig
+from halfseen.world.config import WorldConfig, is_whole
 from halfseen.world.cuts import DROP_OUT_CAUSE, CutEpisodes, CutKind, check_share, cut, cut_rate
 from halfseen.world.logs import to_logs
 from halfseen.world.policy import Policy, check_fits
@@ -122,7 +122,8 @@ class TableWorld:
         Raises
         ------
         ArgumentError
-            `episodes` is below 1 or `cut_share` outside [0, 1).
+            `episodes` or `seed` is not a whole number, or too small; `cut_share` is outside [0, 1); or `policy` does
+            not decide.
         PolicyError
             The policy is for another number of robots.
         SceneError
@@ -142,7 +143,7 @@ class TableWorld:
         cut_kind: CutKind | str = "independent",
     ) -> CutEpisodes:
         """Simulate as in `simulate`, but return arrays instead of logs."""
-        config, layouts = self.played_config, self._checked(scenes, policy, episodes)
+        config, layouts = self.played_config, self._checked(scenes, policy, episodes, seed)
         check_share(cut_share)
         pilot_key, play_key = random.split(random.key_of(seed))
         rate = 0.0
@@ -153,12 +154,16 @@ class TableWorld:
 
     def evaluate(self, scenes: Scene | Sequence[Scene], policy: Policy, episodes: int, seed: int) -> Totals:
         """Play episodes to their end and return the reward, duration and steps of each; see `simulate`."""
-        layouts = self._checked(_as_list(scenes), policy, episodes)
+        layouts = self._checked(_as_list(scenes), policy, episodes, seed)
         return evaluate(self.played_config, layouts, policy, random.key_of(seed), episodes)
 
-    def _checked(self, scenes: Sequence[Scene], policy: Policy, episodes: int) -> Layout:
-        if episodes < 1:
-            raise ArgumentError(f"episodes is {episodes}; simulate at least 1")
+    def _checked(self, scenes: Sequence[Scene], policy: Policy, episodes: int, seed: int) -> Layout:
+        if not is_whole(episodes, 1):
+            raise ArgumentError(f"episodes is {episodes!r}; give a whole number, at least 1")
+        if not is_whole(seed, 0):
+            raise ArgumentError(f"seed is {seed!r}; give a whole number, at least 0")
+        if not isinstance(policy, Policy):
+            raise ArgumentError(f"policy is a {type(policy).__name__}; give one that decides, such as UniformPolicy()")
         layouts = self.layouts(scenes)
         if self.team is not None:
             check_fits(policy, self.played_config)

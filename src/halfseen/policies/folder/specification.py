@@ -101,7 +101,7 @@ def description(record: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _looks_at(kind: str, schema: Mapping[str, Any]) -> str:
     if kind.startswith("team"):
-        return f"tables of {schema['num_robots']} robots, and what each is doing; it decides for whichever is free"
+        return f"tables of {schema['num_robots']} robots, and what each is doing; it decides for the robot that is free"
     if kind.startswith("table"):
         return "tables: where objects stand, who hides whom, how dirty each seems, past attempts"
     return ", ".join(schema["covariates"]) or "nothing but the stage"
@@ -117,8 +117,8 @@ def _q_rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     is_weighted = learner["censoring"] in ("kaplan-meier", "cox", "kernel")
     by = f", by {learner['censoring_by']}" if is_weighted else ""
     pessimism = (
-        f"Q is lowered by {learner['pessimism']:.2g} times its standard error, less where the logs do as much, so "
-        "that no action is chosen on the evidence of few stages"
+        f"Q is lowered by {learner['pessimism']:.2g} times its standard error, less for actions that the logs "
+        "often take, so that no action is chosen on the evidence of few stages"
     )
     return [
         ("Q", f"{learner['q_function']}, stages {learner['stages']}, {horizon}"),
