@@ -1,3 +1,4 @@
+import gzip
 import json
 import os
 import sqlite3
@@ -285,8 +286,10 @@ def test_who_has_a_table_and_no_mapping_hears_of_the_command_that_makes_one(plac
     (place / "book.xlsx").write_bytes(b"PK")
     assert "book.xlsx: workbooks are not read; save the sheet as CSV" in refusal("book.xlsx", "--out", "logs")
     assert "`halfseen convert --help` lists the files that are read" in typed("inspect", "book.xlsx").err
-    (place / "events.csv.GZ").write_bytes(b"\x1f\x8b")
-    assert "unpack it, and read its contents" in refusal("events.csv.GZ", "--out", "logs")
+    (place / "events.zip").write_bytes(b"PK")
+    assert "unpack it, and read its contents" in refusal("events.zip", "--out", "logs")
+    (place / "events.csv.GZ").write_bytes(gzip.compress(GERMAN.encode("cp1252")))
+    assert "halfseen convert events.csv.GZ --mapping-template" in refusal("events.csv.GZ", "--out", "logs")
     (place / "MORE.CSV").write_text(GERMAN, encoding="cp1252")
     assert "halfseen convert MORE.CSV --mapping-template --out cell.toml" in typed("inspect", "MORE.CSV").err
     broken = GERMAN.replace("1,25", "viel")

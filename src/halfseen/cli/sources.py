@@ -99,15 +99,18 @@ def tables_of_events(path: Path) -> list[Path]:
     """A table, or the tables of a folder without logs and bags."""
     if path.is_file():
         return [path]
+    from halfseen.logs.folder import FOREIGN_TABLES
+
     if _bags(path) or (path / "logs.json").exists():
         return []
-    return _shown_files(path, (".csv", ".tsv", ".parquet")) or _shown_files(path, (".txt",))
+    tables = _shown_files(path, tuple(end for end in FOREIGN_TABLES if ".txt" not in end))
+    return tables or _shown_files(path, (".txt", ".txt.gz"))
 
 
 def _shown_files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     """Files of a folder by the end of their names, in order; hidden files are passed over."""
     return sorted(
-        file for file in folder.iterdir() if file.suffix.lower() in suffixes and not file.name.startswith(".")
+        file for file in folder.iterdir() if file.name.lower().endswith(suffixes) and not file.name.startswith(".")
     )
 
 
@@ -180,8 +183,8 @@ def read(kind: str, source: str, how: Reading, missing: str | None = None) -> "L
 def _read_sql(url: str, how: Reading, missing: str | None) -> "Logs":
     """Read a database by queries from options or from a file."""
     from halfseen.logs.formats import Queries, read_event_mapping, read_event_table, read_queries, read_sql
-    from halfseen.logs.formats.mapping import is_event_mapping
     from halfseen.logs.formats.sql_rows import read_rows, shown_url
+    from halfseen.logs.formats.table_mapping import is_event_mapping
 
     if how.mapping is not None:
         if (how.stages, how.trajectories, how.objects) != (None, None, None):

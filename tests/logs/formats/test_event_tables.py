@@ -315,7 +315,7 @@ def test_a_covariate_is_numbers_or_text_as_it_begins_or_as_it_is_said(read_table
     with refused(r"line 5, column 'Wert': 'x' is not a number with decimal mark ','"):
         weights(["1", "x", "7", "7"])
     with refused(
-        r"line 2, column 'Wert': 'NULL' is not a number, but most of the column are; .* set values = \{\"NULL\" = nan\}"
+        r"line 2, column 'Wert': 'NULL' is not a number, but most of the column are; .* set missing = \[\"NULL\"\]"
     ):
         weights(["NULL", "1.234,5", "7", "7"])
     with refused(r"line 2, column 'Wert': '0,5 kg' is a number with a unit; export it without, or set type = \"text\""):

@@ -12,8 +12,8 @@ from halfseen.errors import warn
 from halfseen.logs.columns import shown
 from halfseen.logs.formats.bag_messages import Event
 from halfseen.logs.formats.bags import Trajectory
-from halfseen.logs.formats.mapping import Clock, EventMapping
 from halfseen.logs.formats.table_cells import Cells
+from halfseen.logs.formats.table_mapping import Clock, EventMapping
 from halfseen.logs.formats.table_values import BEGIN_LIKE, Stamps
 from halfseen.suggestions import folded
 
@@ -76,10 +76,13 @@ def warn_of_rows_apart(cells: Cells, groups: Groups, mapping: EventMapping) -> N
 
 
 def warn_of_reordered(cells: Cells, groups: Groups, stamps: Stamps, mapping: EventMapping) -> None:
-    """Warn about rows above which a later time stands."""
+    """Warn about rows above which a later time stands; refuse them between stages that have numbers (`LogError`)."""
     if mapping.clock.since == "stage" or (mapping.clock.since is not None and mapping.has_begins):
         return
     late = [rows[k + 1] for rows in groups.values() for k in np.flatnonzero(np.diff(stamps[rows]) < 0).tolist()]
+    if late and mapping.wide is not None:
+        trouble = 'is before that of the stage before; fix it, or set since = "stage" if it counts from there'
+        cells.refuse(late[0], mapping.clock.fields[-1], trouble)
     if late:
         rest = f", as in {len(late):,} rows" if len(late) > 1 else ""
         early = f"the time is before that of the row above{rest}"

@@ -3,8 +3,9 @@
 A mapping has the same tables as for bags (`halfseen.logs.formats.bags`), and rows become stages as messages do:
 ``field`` is a column, and ``topic`` a row's text in the column of events. Without a column of events each row is a
 stage, and an empty cell carries no value. If trajectories have a column, each of their rows advances their clock,
-mapped or not. A trajectory without an ending was cut: "log ended". A clock of numbers may start again where an event
-begins a trajectory, as that of a controller does when it is restarted.
+mapped or not. A table of one row a trajectory becomes one of stages first. A trajectory without an ending was cut: "log
+ended". A clock of numbers may start again where an event begins a trajectory, as that of a controller does when it is
+restarted.
 """
 
 from collections import Counter
@@ -22,7 +23,7 @@ from halfseen.logs.columns import shown
 from halfseen.logs.formats import table_values
 from halfseen.logs.formats.bag_messages import JITTER_NS, Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
-from halfseen.logs.formats.ending_flags import are_flags, truths, with_ending
+from halfseen.logs.formats.ending_flags import LOG_ENDED, are_flags, truths, with_ending
 from halfseen.logs.formats.event_doubts import (
     late_covariates,
     refuse_respelled,
@@ -34,17 +35,17 @@ from halfseen.logs.formats.event_doubts import (
     warn_of_rows_apart,
     warn_of_running_clock,
 )
-from halfseen.logs.formats.mapping import NUMBERS, Ending, Entry, EventMapping, read_event_mapping
-from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells, refuse_empty
+from halfseen.logs.formats.mapping import NUMBERS
+from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells, refuse_empty, without_missing
+from halfseen.logs.formats.table_mapping import Ending, Entry, EventMapping, read_event_mapping
 from halfseen.logs.formats.table_values import Marks, Stamps
+from halfseen.logs.formats.wide_tables import one_row_a_stage
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.shapes import Int
 
 EARLIEST_DATE_NS = 10**18
 """Larger numbers are dates, which a restart of a controller does not set back [ns since 1970]."""
-LOG_ENDED = "log ended"
-"""Cause of the cut of a trajectory without an ending."""
 
 
 def read_event_table(
@@ -78,6 +79,7 @@ def read_event_table(
     """
     wanted, file = read_event_mapping(mapping), str(mapping)
     cells = cells_of(place, source) if isinstance(source, pa.Table) else _read_files(source, wanted)
+    cells, wanted = one_row_a_stage(without_missing(refuse_empty(cells), wanted.table.missing), wanted, file)
     cells, wanted = with_ending(refuse_empty(cells), wanted, file)
     _check_columns(cells, wanted, file)
     warn_of_respelled_events(cells, wanted)

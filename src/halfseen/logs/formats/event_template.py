@@ -12,9 +12,10 @@ import pandas as pd
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
+from halfseen.logs.formats.column_words import END_TIME_LIKE, EVENTS_LIKE, FINISHED_LIKE, FLAGS_LIKE, KNOWN_LATER, LIKE
 from halfseen.logs.formats.ending_flags import are_flags
-from halfseen.logs.formats.mapping import TextLayout
-from halfseen.logs.formats.table_cells import TYPED_FILES, Cells, heading_of, read_cells, refuse_empty
+from halfseen.logs.formats.table_cells import TEXT_FILES, Cells, heading_of, read_cells, refuse_empty, without_missing
+from halfseen.logs.formats.table_mapping import TextLayout
 from halfseen.logs.formats.table_values import (
     BEGIN_LIKE,
     ISO,
@@ -25,43 +26,14 @@ from halfseen.logs.formats.table_values import (
     marks_of,
     thousands_mark,
 )
+from halfseen.logs.formats.wide_guess import Wide, guessed_wide
+from halfseen.logs.formats.wide_tables import STAGE
 
-_LIKE = {
-    "clock.field": r"zeit|time|stamp|date|datum|uhr|elapsed|clock|ende?_|end$|dauer|^t$|(^|_)(ms|us|ns|s|min)$"
-    r"|heure|horodat|fecha|hora|^ora$|^data",
-    "clock.begin": BEGIN_LIKE.pattern,
-    "trajectory": r"lauf|run|traj|episode|auftrag|order|job|batch|charge|cycle|zyklus|trial|essai|ciclo|lote|lotto",
-    "topic": r"ereignis|event|typ|meldung|message|topic|kind|signal|tag|évén|mensaje|messaggio",
-    "action": r"a[kc]tion|griff|greif|grip|tool|werkzeug|decision|choice|prise|pince|outil|acción|azione|pinza",
-    "object": r"obje[kc]?t|teil|part|item|pièce|pieza|pezzo",
-    "probability": r"prob|wahrsch|propens|^p$",
-    "reward": r"reward|belohn|ertrag|worth|wert|value|score|punkt|profit|gewinn|récomp|valeur|valor",
-    "ending": r"ende?$|ending|ergebnis|outcome|result|abbruch|schluss|stop|cause|grund|ursache|fault|fehler|stör|status"
-    r"|^fine?$|résult|risult|causa|motif|arrêt|terminat|truncat",
-}
-"""Patterns of column names for each key, in order of assignment: German, English, French, Spanish, Italian."""
-_EVENTS_LIKE = {
-    "trajectory": r"^(start|begin|anfang|début|inicio|inizio)|[^a-z](start(ed)?|begin|begun|anfang)$",
-    "ending": r"^end|[^a-z]end(e|ed)?$|^fine?$|stop|finish|fertig|abbruch|not-?halt|arrêt|parada|arresto",
-    "reward": r"reward|ertrag|place|ablage|abgelegt|result|ergebnis|drop|success|^n?ok$|^(n\.?)?i\.?o\.?$"
-    r"|dépo|depó|depos|résult",
-    "action": r"griff|greif|pick|gras?p|grip|a[kc]tion|prise|agarre|presa|acción|azione",
-}
-_FLAGS_LIKE = {
-    "ending.finished": re.compile(r"terminat|is_terminal|(^|_)done$", re.IGNORECASE),
-    "ending.cut": re.compile(r"truncat|time_?out|time_?limit|^is_last$", re.IGNORECASE),
-}
-"""Patterns of columns with ending flags in the row of the action."""
-_END_TIME_LIKE = re.compile(r"(^|[^a-z])(end(e|ed)?|bis|until|fin(e|ished)?|done|stop(ped)?)([^a-z]|$)", re.IGNORECASE)
-"""Pattern of columns with the end time of a stage."""
-_KNOWN_LATER = re.compile(f"{_LIKE['ending']}|{_END_TIME_LIKE.pattern}|^is_(first|last)$", re.IGNORECASE)
-"""Pattern of columns that are no covariates because they are known only after the action."""
-_FINISHED_LIKE = re.compile(r"fertig|finish|done|complet|success|^ok$|^ende?$|termin|réussi", re.IGNORECASE)
-"""Pattern of events and endings that are no cut."""
 _DAYS = ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y", "%d.%m.%y", "%d/%m/%y", "%m/%d/%y")
 _DAYS += ("%d-%b-%Y", "%d-%b-%y")
 _TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M %p")
 _ROWS_LOOKED_AT = 1000
+_MISSING = ("NA", "N/A", "#N/A", "#NV", "NaN", "nan", "NULL", "null")
 
 
 def mapping_of(file: str | Path) -> str:
@@ -81,27 +53,41 @@ def mapping_of(file: str | Path) -> str:
     used = {name for both in parts.values() for name in both}
     columns = {name: whole.columns[name] for name in (*parts, *cells.columns) if name not in used}
     cells = replace(cells, columns=columns)
-    return "\n".join(_template(cells, str(file), _guessed(cells), parts)) + "\n"
+    wide = guessed_wide(cells)
+    cells, found = (cells, _guessed(cells, {})) if wide is None else _guessed_of(wide)
+    return "\n".join(_template(cells, str(file), found, parts, wide)) + "\n"
+
+
+def _guessed_of(wide: Wide) -> tuple[Cells, dict[str, str]]:
+    """The rows of stages of a wide table, and the columns of their keys; only a column by stage is a clock."""
+    by_stage = replace(wide.cells, columns={name: wide.cells.columns[name] for name in wide.staged if name != STAGE})
+    times = {key: name for key, name in _guessed(by_stage, wide.found).items() if key.startswith("clock")}
+    kept = wide.cells.columns.keys() - ({STAGE} if times else set())
+    cells = replace(wide.cells, columns={name: texts for name, texts in wide.cells.columns.items() if name in kept})
+    return cells, _guessed(cells, {"clock.field": STAGE, **wide.found, **times})
 
 
 def _read(file: Path) -> Cells:
-    """Read a table whose heading may be below other lines, and find its thousands separator."""
+    """Read a table whose heading may be below other lines; find its thousands separator and texts of missing values."""
     try:
         cells = refuse_empty(read_cells(file, TextLayout()))
     except LogError:
-        heading = 1 if file.suffix in TYPED_FILES or not file.is_file() else heading_of(file)
+        heading = heading_of(file) if file.suffix.lower() in TEXT_FILES and file.is_file() else 1
         if heading == 1:
             raise
         cells = refuse_empty(read_cells(file, TextLayout(heading=heading)))
-    return replace(cells, layout=msgspec.structs.replace(cells.layout, thousands=thousands_mark(cells)))
+    texts = {text for column in cells.columns.values() for text in column}
+    layout = {"thousands": thousands_mark(cells), "missing": [text for text in _MISSING if text in texts]}
+    cells = replace(cells, layout=msgspec.structs.replace(cells.layout, **layout))
+    return without_missing(cells, cells.layout.missing)
 
 
-def _guessed(cells: Cells) -> dict[str, str]:
-    """The column of each key for which one matches."""
-    found = _flags(cells) | _span(cells)
+def _guessed(cells: Cells, given: dict[str, str]) -> dict[str, str]:
+    """The column of each key for which one matches, besides those given."""
+    found = _flags(cells) | _span(cells) | given
     known = {*found} | ({"ending"} if "ending.finished" in found else set())
     known |= {"topic"} if "clock.begin" in found else set()
-    for key, like in _LIKE.items():
+    for key, like in LIKE.items():
         if key in known:
             continue
         for name, texts in cells.columns.items():
@@ -126,7 +112,7 @@ def _guessed(cells: Cells) -> dict[str, str]:
 def _flags(cells: Cells) -> dict[str, str]:
     """The columns of ending flags; none unless there is a flag for finished."""
     flags = [name for name, texts in cells.columns.items() if are_flags(texts)]
-    found = {key: next(filter(like.search, flags), None) for key, like in _FLAGS_LIKE.items()}
+    found = {key: next(filter(like.search, flags), None) for key, like in FLAGS_LIKE.items()}
     return {} if found["ending.finished"] is None else {key: name for key, name in found.items() if name is not None}
 
 
@@ -134,7 +120,7 @@ def _span(cells: Cells) -> dict[str, str]:
     """The columns with begin and end times of stages; none if one of the two is missing."""
     times = [name for name, texts in cells.columns.items() if _are_times(texts) and not are_flags(texts)]
     begin = next(filter(BEGIN_LIKE.search, times), None)
-    end = next((name for name in times if name != begin and _END_TIME_LIKE.search(name)), None)
+    end = next((name for name in times if name != begin and END_TIME_LIKE.search(name)), None)
     return {} if begin is None or end is None else {"clock.begin": begin, "clock.field": end}
 
 
@@ -152,14 +138,17 @@ def _other_times(cells: Cells, found: dict[str, str]) -> dict[str, str]:
     return {} if first is None else {"clock.field": first}
 
 
-def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, list[str]]) -> Iterator[str]:
+def _template(
+    cells: Cells, file: str, found: dict[str, str], parts: dict[str, list[str]], wide: Wide | None
+) -> Iterator[str]:
     """Lines of the mapping."""
     yield f"# What the columns of {file} carry, for: halfseen convert {shlex.quote(file)} --mapping THIS --out LOGS"
     yield "# Each guess is marked: check and fix it, complete what is missing, and leave out what is not recorded."
     yield from (f"# Column {shown(name)} holds {kind}, which is not read." for name, kind in cells.unread.items())
     topics = list(dict.fromkeys(cells.columns[found["topic"]])) if "topic" in found else []
-    if side_by_side := _side_by_side(cells, found):
-        yield f"# {', '.join(map(shown, side_by_side))} look like stages side by side: write one row a stage first."
+    if wide is not None:
+        yield from ("", "# Each row is a trajectory; below, columns by stage are named without their stage.")
+        yield f"wide = {_quoted(wide.pattern)}  # guess: {', '.join(map(shown, wide.staged[1:]))} are by stage"
     if topics:
         yield from ("", "# Column of events, one row each; without it each row is a stage.")
         yield f"topic = {_guess(cells, found['topic'])}"
@@ -170,6 +159,8 @@ def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, l
         yield _decimal_line(cells)
         if cells.layout.thousands is not None:
             yield f"thousands = {_quoted(cells.layout.thousands)}  # guess: between groups of three digits"
+        if cells.layout.missing:
+            yield f"missing = [{', '.join(map(_quoted, cells.layout.missing))}]  # guess: texts of empty cells"
         if cells.layout.heading > 1:
             yield f"heading = {cells.layout.heading}  # guess: the line that names the columns"
     yield from ("", "[clock]", *_clock_lines(cells, found, bool(topics), parts))
@@ -185,7 +176,7 @@ def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, l
 
 def _events_like(topics: list[str]) -> dict[str, list[str]]:
     """The events of each key; one of an action's result is no action, and one of its beginning or end no ending."""
-    like = {key: [one for one in topics if re.search(words, one, re.IGNORECASE)] for key, words in _EVENTS_LIKE.items()}
+    like = {key: [one for one in topics if re.search(words, one, re.IGNORECASE)] for key, words in EVENTS_LIKE.items()}
     for key, other in (("action", "reward"), ("trajectory", "action"), ("ending", "action")):
         like[key] = [one for one in like[key] if one not in like[other]] or like[key]
     return like
@@ -233,7 +224,7 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
 
 def _unit(name: str, texts: Sequence[str]) -> str:
     """The unit of a column's name; or of dates as a spreadsheet counts them since 1900, or others since 1970."""
-    unit = re.search(r"(?<![a-z])(ms|us|ns|min|s|h)\W*$", name)
+    unit = re.search(r"(?<![a-z])(ms|us|ns|min|s|h|d)(?:ays?)?\W*$", name)
     are_days = all(re.fullmatch(r"[2-7]\d{4}[.,]\d+", text) for text in texts)
     lengths = {len(re.split("[.,]", text)[0]) for text in texts}
     return unit[1] if unit else "d" if are_days else {13: "ms", 16: "us", 19: "ns"}.get(min(lengths), "s")
@@ -250,6 +241,8 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
     column = _filled(cells, found, key, rows) if topic else found.get(key)
     if column is None and not topic:
         yield from (f"# [{key}]", f'# field = "COLUMN"  # no column looks like it; there are {_names(cells)}')
+        if key == "ending" and "topic" not in found:
+            yield '# finished = "rewarded"  # if every trajectory finished whose last stage has a reward'
         return
     yield f"[{key}]"
     if topic:
@@ -258,7 +251,7 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
         yield f"field = {_guess(cells, column, rows)}"
     texts = topic if column is None else list(dict.fromkeys(cells.columns[column][row] for row in rows))
     if key == "ending":
-        ends = [text for text in texts if _FINISHED_LIKE.search(text)] or [text for text in texts if not text]
+        ends = [text for text in texts if FINISHED_LIKE.search(text)] or [text for text in texts if not text]
         yield f'finished = [{", ".join(map(_quoted, ends))}]  # guess: endings that are not cuts, "" for an empty cell'
     elif key == "action" or (key == "reward" and not all(map(is_numeric, filter(None, texts)))):
         names = list(map(_quoted, filter(None, texts)))[: 1 if key == "action" else 20]
@@ -270,7 +263,7 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
 def _flag_lines(cells: Cells, found: dict[str, str]) -> Iterator[str]:
     """Lines of an ending given by flags."""
     yield "[ending]"
-    for key in _FLAGS_LIKE:
+    for key in FLAGS_LIKE:
         if key in found:
             name, guess = _guess(cells, found[key]).split("  # ", 1)
             yield f"{key.removeprefix('ending.')} = {{field = {name}}}  # {guess}"
@@ -281,7 +274,7 @@ def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> 
     free = [name for name in cells.columns if name not in found.values()]
     for name in [] if "topic" in found else free:
         lines = f"[covariates.{_key(name)}]", f"field = {_guess(cells, name)}"
-        if _KNOWN_LATER.search(name):
+        if KNOWN_LATER.search(name):
             yield from ("", "# Its name suggests a value known only after the action; such a value is not a covariate.")
             yield from (f"# {line}" for line in lines)
         else:
@@ -297,13 +290,6 @@ def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> 
 def _rows(cells: Cells, found: dict[str, str], topic: list[str]) -> list[int]:
     """Rows of the given events, or all rows."""
     return [row for row in range(len(cells.rows)) if not topic or cells.columns[found["topic"]][row] in topic]
-
-
-def _side_by_side(cells: Cells, found: dict[str, str]) -> list[str]:
-    """Columns of text whose names differ from that of the action only in a number; none without others."""
-    stem, *others = (re.sub(r"\d+", "#", name) for name in (found.get("action", ""), *cells.columns))
-    alike = [name for name, other in zip(cells.columns, others, strict=True) if other == stem]
-    return [] if len(alike) < 2 or any(map(is_numeric, filter(None, cells.columns[alike[1]]))) else alike
 
 
 def _filled(cells: Cells, found: dict[str, str], key: str, rows: list[int]) -> str | None:

@@ -1,18 +1,21 @@
 """Cells of any table as text, with the line of each row.
 
-In order: bytes → text (encoding) → cells (separator), or typed columns → the same cells.
+In order: bytes → text (encoding) → cells (separator) or JSON lines → cells, or typed columns → the same cells.
 `halfseen.logs.formats.table_values` interprets the text.
 """
 
 import csv
+import gzip
 import io
+import json
 import re
+import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, BinaryIO, NoReturn
 
 import msgspec
 import numpy as np
@@ -20,15 +23,17 @@ import pyarrow as pa
 
 from halfseen.errors import ArgumentError, LogError, did_you_mean, warn
 from halfseen.logs.columns import refuse_repeated, shown
-from halfseen.logs.formats.mapping import TextLayout
 from halfseen.logs.formats.quotes import check_quotes
 from halfseen.logs.formats.step_tables import LAST, whole_table
+from halfseen.logs.formats.table_mapping import TextLayout
 from halfseen.logs.parquet import parquet_file
-from halfseen.reading import TABLE, opened, reason_of
+from halfseen.reading import TABLE, check_file, check_unpacked, json_of, opened, reason_of, refused
 
 TEXT_FILES, TYPED_FILES, SHEETS = (".csv", ".tsv", ".txt"), (".parquet",), (".xlsx", ".xls", ".ods")
+JSON_LINES, PACKED = (".jsonl", ".ndjson"), ".gz"
 SEPARATORS = (";", ",", "\t", "|")
 ROWS_LOOKED_AT = 50
+_BYTES_AT_ONCE = 2**24
 _LATIN_IN_UTF_8 = re.compile(rb"\xc3[\x80-\xbf]")
 """A letter with an accent in UTF-8, which in Windows-1252 is Ã and a sign."""
 
@@ -56,17 +61,25 @@ class Cells:
         raise LogError(f"{self.place(row, column)}: {shown(self.columns[column][row])} {trouble}")
 
 
+def kind_of_table(file: Path) -> str:
+    """The ending of a file's name, before that of packed text."""
+    name = file.name.lower()
+    unpacked = Path(name.removesuffix(PACKED)).suffix
+    return unpacked if unpacked in (*TEXT_FILES, *JSON_LINES) else Path(name).suffix
+
+
 def is_event_table(file: Path, is_mapped: bool) -> bool:
     """Whether to read a file by a mapping: it is a table, and a mapping is given or it is not a step table."""
-    kind = file.suffix.lower()
+    kind = kind_of_table(file)
     if is_mapped or kind not in (".csv", *TYPED_FILES):
-        return kind in (*TEXT_FILES, *TYPED_FILES, *SHEETS)
+        return kind in (*TEXT_FILES, *JSON_LINES, *TYPED_FILES, *SHEETS)
     try:
         if kind in TYPED_FILES:
             return LAST not in parquet_file(file).schema_arrow.names
         with opened(file, TABLE) as held:
-            return LAST.encode() not in held.readline(ROWS_LOOKED_AT * 1000)
-    except (OSError, pa.ArrowException):
+            lines = gzip.GzipFile(fileobj=held) if file.suffix.lower() == PACKED else held
+            return LAST.encode() not in lines.readline(ROWS_LOOKED_AT * 1000)
+    except (OSError, EOFError, zlib.error, pa.ArrowException):
         return False
 
 
@@ -81,16 +94,52 @@ def read_cells(file: Path, layout: TextLayout) -> Cells:
         It is missing or broken, a row and the heading differ in their number of cells, or the layout is not found.
     """
     refuse_workbook(file)
-    if file.suffix.lower() in TYPED_FILES:
+    kind = kind_of_table(file)
+    if kind in TYPED_FILES:
         with whole_table(file):
             table = parquet_file(file).read()
         return cells_of(str(file), table)
-    if file.suffix.lower() not in TEXT_FILES:
-        raise ArgumentError(f"{file}: a mapping of columns reads {', '.join((*TEXT_FILES, *TYPED_FILES))}; export one")
+    if kind not in (*TEXT_FILES, *JSON_LINES):
+        kinds = ", ".join((*TEXT_FILES, *JSON_LINES, *TYPED_FILES))
+        raise ArgumentError(f"{file}: a mapping of columns reads {kinds}; export one")
     with whole_table(file), opened(file, TABLE) as held:
-        content = held.read()
+        content = _unpacked(held, check_file(file, TABLE)) if file.suffix.lower() == PACKED else held.read()
     text, encoding = _decoded(file, content, layout.encoding)
+    if kind in JSON_LINES:
+        return _of_json(file, text)
     return _split(file, text, msgspec.structs.replace(layout, encoding=encoding))
+
+
+def _unpacked(held: BinaryIO, num_bytes: int) -> bytes:
+    content = bytearray()
+    with gzip.GzipFile(fileobj=held) as packed:
+        while part := packed.read(_BYTES_AT_ONCE):
+            content += part
+            check_unpacked(num_bytes, len(content))
+    return bytes(content)
+
+
+def _of_json(file: Path, text: str) -> Cells:
+    """Read one JSON object a line; a name that an object lacks is an empty cell, and lists and objects are not read."""
+    rows: dict[int, dict[str, Any]] = {}
+    for number, line in enumerate(text.split("\n"), start=1):
+        if not line.strip():
+            continue
+        with refused(f"{file}, line {number}", "it is not JSON", "write one JSON object a line"):
+            row = json_of(line)
+        if not isinstance(row, dict):
+            raise LogError(f"{file}, line {number}: it is not a JSON object; write one a line")
+        rows[number] = row
+    names = list(dict.fromkeys(name for row in rows.values() for name in row))
+    unread = {name: "lists or objects" for row in rows.values() for name in row if isinstance(row[name], list | dict)}
+    read = [name for name in names if name not in unread]
+    columns = {name: [_text_of(row.get(name)) for row in rows.values()] for name in read}
+    return _checked(Cells(str(file), columns, list(rows), TextLayout(decimal="."), unread=unread), names)
+
+
+def _text_of(value: Any) -> str:
+    """A JSON value as a cell."""
+    return "" if value is None else value.strip() if isinstance(value, str) else json.dumps(value)
 
 
 def refuse_workbook(file: Path) -> None:
@@ -206,6 +255,14 @@ def _checked(cells: Cells, names: list[str]) -> Cells:
     if "" in names:
         raise LogError(f"{cells.file}: column {names.index('') + 1} has no name; give it one, or set table.heading")
     return cells
+
+
+def without_missing(cells: Cells, missing: Collection[str]) -> Cells:
+    """Empty the cells whose text means a missing value."""
+    if not missing:
+        return cells
+    columns = {name: ["" if text in missing else text for text in texts] for name, texts in cells.columns.items()}
+    return replace(cells, columns=columns)
 
 
 def refuse_empty(cells: Cells) -> Cells:

@@ -13,8 +13,8 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, warn
 from halfseen.logs.columns import shown
-from halfseen.logs.formats.mapping import Clock
 from halfseen.logs.formats.table_cells import Cells
+from halfseen.logs.formats.table_mapping import Clock
 from halfseen.reading import reason_of
 from halfseen.shapes import Int
 
@@ -134,7 +134,7 @@ def number_at(cells: Cells, row: int, column: str, marks: Marks) -> float:
 def _remedy_if_missing(cell: str) -> str:
     """The remedy for a text that looks like a missing value; empty for any other."""
     is_missing = cell.lower() in _MISSING_LIKE
-    return f'if it is missing, leave it empty, or set values = {{"{cell}" = nan}} of a covariate' if is_missing else ""
+    return f'if it is missing, leave it empty, or set missing = ["{cell}"] in [table]' if is_missing else ""
 
 
 def refuse_most_numbers(cells: Cells, rows: Sequence[int], column: str) -> None:
