@@ -149,6 +149,23 @@ def events(folder: Path) -> None:
 
 @seed(
     LOGS,
+    "convert in/trial.csv --mapping in/trial.toml --out out --json",
+    "convert in/trial.csv --mapping-template --out out",
+    "convert in/stages.jsonl --mapping in/stages.toml --out csv:out",
+)
+def trial(folder: Path) -> None:
+    from event_files import PATIENTS, STAGES, TRIAL, WIDE
+
+    (folder / "trial.csv").write_text(PATIENTS.replace("NA", ""))
+    (folder / "trial.toml").write_text(TRIAL, encoding="utf-8")
+    heading, *rows = (line.split(",") for line in WIDE.splitlines())
+    lines = (json.dumps(dict(zip(heading, row, strict=True))) for row in rows)
+    (folder / "stages.jsonl").write_text("".join(f"{line}\n" for line in lines))
+    (folder / "stages.toml").write_text(STAGES, encoding="utf-8")
+
+
+@seed(
+    LOGS,
     f"convert in/steps.hdf5 {ONE}",
     "convert in/steps.hdf5 --out out --check --truncated finished",
     name="steps-hdf5",

@@ -6,32 +6,13 @@ import json
 import pytest
 
 from event_files import GERMAN as EVENTS
-from event_files import HISTORIAN, STAGES, WIDE, ends, stages
+from event_files import HISTORIAN, PATIENTS, STAGES, TRIAL, WIDE, ends, stages
 from halfseen.errors import HalfseenWarning
 from halfseen.logs.formats import mapping_of
 from halfseen.reading import LARGEST_MB
 from refusals import refused
 
 DAY_S = 86400.0
-PATIENTS = """\
-"id","age","dose.1","sofa.1","day.1","dose.2","sofa.2","day.2","y","reason"
-"p1",50,"low",3,7,"high",5,14,1.5,NA
-"p2",61,"high",4,7,NA,NA,NA,2,NA
-"p3",47,"low",4,7,"low",6,10,NA,"moved"
-"p4",47,"low",NA,3,NA,NA,NA,NA,"withdrew"
-"""
-"""A trial as R's `reshape` and `write.csv` leave it; p2 responded after the first stage, p3 and p4 were lost."""
-TRIAL = """
-wide = "{name}.{stage}"
-table.missing = ["NA"]
-clock = {field = "day", unit = "d", since = "trajectory"}
-trajectory = {field = "id"}
-action = {field = "dose"}
-reward = {field = "y"}
-ending = {field = "reason", finished = [""]}
-covariates.age = {field = "age"}
-covariates.sofa = {field = "sofa"}
-"""
 OF_PATIENTS = [
     ("p1", 1, 7 * DAY_S, "low", 0.0, 50.0, 3.0),
     ("p1", 2, 14 * DAY_S, "high", 1.5, 50.0, 5.0),
