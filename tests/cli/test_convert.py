@@ -252,6 +252,7 @@ def test_a_mapping_is_made_from_a_table_printed_or_written(place, typed):
     assert run("plc.csv", "--mapping-template", "--out", "cell.toml").exit_code == 0
     assert Path("cell.toml").read_text() == printed.out
     assert "cell.toml: it already exists" in refusal("plc.csv", "--mapping-template", "--out", "cell.toml")
+    assert "--out is csv:x, but a mapping is one file" in refusal("plc.csv", "--mapping-template", "--out", "csv:x")
     assert run("--mapping-template").output.startswith("# Which topic of a bag carries what")
     for words, message in (((), "Missing argument 'SOURCE...'"), (("plc.csv",), "Missing option '--out'")):
         assert message in typed("convert", *words).err

@@ -125,6 +125,8 @@ def _give_template(sources: tuple[str, ...], target: str | None) -> None:
             "--mapping-template is made from a file, not from a database; save the rows of a SELECT as CSV, make the "
             "mapping from that file, and put the SELECT into it as table.query; or give --stages and --trajectories"
         )
+    if target is not None and target.startswith((CSV, MINARI)):
+        raise ArgumentError(f"--out is {target}, but a mapping is one file; give its name, such as cell.toml")
     table = next((one for one in sources if kind_of(one, is_mapped=True) == "events"), None)
     text = MAPPING_TEMPLATE if table is None else mapping_of(tables_of_events(Path(table))[0])
     give_mapping(text, None if target is None else Path(target))

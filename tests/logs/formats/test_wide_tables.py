@@ -170,5 +170,8 @@ def test_packed_tables_and_json_lines_are_the_same_rows(read_table, tmp_path, mo
     with refused(r"it is not a complete table \("):
         read_table(packed[:-20], HISTORIAN, name="events.csv.gz")
     monkeypatch.setenv(LARGEST_MB, "1")
+    (tmp_path / "large.csv").write_text("a;b\n" * 10**6)
+    with refused(r"large\.csv: it is not a complete table \(it has 4 MB"):
+        mapping_of(tmp_path / "large.csv")
     with refused(r"it is not a complete table \(unpacked, it has"):
         read_table(gzip.compress(b"a;b\n" * 10**6), HISTORIAN, name="events.csv.gz")

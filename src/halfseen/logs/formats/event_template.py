@@ -14,7 +14,15 @@ from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
 from halfseen.logs.formats.column_words import END_TIME_LIKE, EVENTS_LIKE, FINISHED_LIKE, FLAGS_LIKE, KNOWN_LATER, LIKE
 from halfseen.logs.formats.ending_flags import are_flags
-from halfseen.logs.formats.table_cells import TEXT_FILES, Cells, heading_of, read_cells, refuse_empty, without_missing
+from halfseen.logs.formats.table_cells import (
+    TEXT_FILES,
+    Cells,
+    heading_of,
+    kind_of_table,
+    read_cells,
+    refuse_empty,
+    without_missing,
+)
 from halfseen.logs.formats.table_mapping import TextLayout
 from halfseen.logs.formats.table_values import (
     BEGIN_LIKE,
@@ -72,7 +80,7 @@ def _read(file: Path) -> Cells:
     try:
         cells = refuse_empty(read_cells(file, TextLayout()))
     except LogError:
-        heading = heading_of(file) if file.suffix.lower() in TEXT_FILES and file.is_file() else 1
+        heading = heading_of(file) if kind_of_table(file) in TEXT_FILES else 1
         if heading == 1:
             raise
         cells = refuse_empty(read_cells(file, TextLayout(heading=heading)))

@@ -102,12 +102,17 @@ def read_cells(file: Path, layout: TextLayout) -> Cells:
     if kind not in (*TEXT_FILES, *JSON_LINES):
         kinds = ", ".join((*TEXT_FILES, *JSON_LINES, *TYPED_FILES))
         raise ArgumentError(f"{file}: a mapping of columns reads {kinds}; export one")
-    with whole_table(file), opened(file, TABLE) as held:
-        content = _unpacked(held, check_file(file, TABLE)) if file.suffix.lower() == PACKED else held.read()
-    text, encoding = _decoded(file, content, layout.encoding)
+    text, encoding = _text(file, layout.encoding)
     if kind in JSON_LINES:
         return _of_json(file, text)
     return _split(file, text, msgspec.structs.replace(layout, encoding=encoding))
+
+
+def _text(file: Path, encoding: str | None) -> tuple[str, str]:
+    """The text of a file, unpacked if need be, and its encoding."""
+    with whole_table(file), opened(file, TABLE) as held:
+        content = _unpacked(held, check_file(file, TABLE)) if file.suffix.lower() == PACKED else held.read()
+    return _decoded(file, content, encoding)
 
 
 def _unpacked(held: BinaryIO, num_bytes: int) -> bytes:
@@ -289,8 +294,7 @@ def _separator(file: Path, text: str) -> str:
 
 def heading_of(file: Path) -> int:
     """Line of the probable heading: the first with as many cells as most of the first lines, or one fewer."""
-    with opened(file, TABLE) as held:
-        text, _ = _decoded(file, held.read(), None)
+    text, _ = _text(file, None)
     lines = text.splitlines()[:ROWS_LOOKED_AT]
     found: dict[int, int] = {}
     for separator in SEPARATORS:
