@@ -166,7 +166,7 @@ def _deeds(events: list[Event]) -> list[Event]:
 def is_seen(bag: Path, trajectory: "Trajectory") -> bool:
     """Whether a trajectory has a stage with all its covariates; if not, warn that it is left out."""
     topics = trajectory.missing
-    if not topics and trajectory.end_s != 0:
+    if not topics and (trajectory.end_s != 0 or trajectory.stages[0]["reward"] is not None):
         return True
     trouble = f"before any message of {', '.join(topics)} came" if topics else "as it began"
     warn(bag, f"trajectory {shown(trajectory.name)} was cut {trouble}; it is left out")

@@ -15,7 +15,9 @@ from halfseen.logs.formats.table_mapping import Ending, EventMapping, Flag
 
 LOG_ENDED = "log ended"
 """Cause of the cut of a trajectory without an ending."""
-_TRUE, _FALSE = ("true", "1", "1.0", "yes"), ("false", "0", "0.0", "no", "")
+_TRUE = ("true", "t", "1", "1.0", "yes", "y", "wahr", "ja", "vrai", "oui", "verdadero", "sí", "vero", "sì")
+_FALSE = ("false", "f", "0", "0.0", "no", "n", "falsch", "nein", "faux", "non", "falso", "")
+"""Truth values, also as German, French, Spanish and Italian programs write them."""
 
 
 def are_flags(texts: list[str]) -> bool:

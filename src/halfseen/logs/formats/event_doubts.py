@@ -1,9 +1,9 @@
 """Doubts about tables of events and of stages: refused where the log would be wrong, otherwise warned of."""
 
+import json
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -19,7 +19,11 @@ from halfseen.suggestions import folded
 
 _ROUNDED = re.compile(r"-?\d([.,]\d+)?[eE]\+\d+")
 FEWEST_ON_ONE_CLOCK = 5
-"""Number of trajectories with several stages that show that a clock runs on across trajectories."""
+"""Number of trajectories that show that a clock runs on across trajectories."""
+MISSING_TEXTS = ("NA", "N/A", "n/a", "#N/A", "#NV", "NaN", "nan", "NULL", "null", "<NA>", "NaT", "#VALUE!", "#WERT!")
+"""Texts that R, pandas, databases and spreadsheets write for a missing value."""
+NO_CAUSES = ("None", "none", "nil", "-", "--", "---", "?")
+"""Texts that may be names, but no causes of a cut."""
 
 
 Groups: TypeAlias = Mapping[Any, list[int]]
@@ -31,6 +35,17 @@ def refuse_rounded(cells: Cells, rows: Sequence[int], column: str) -> None:
     row = next((row for row in rows if _ROUNDED.fullmatch(cells.columns[column][row])), None)
     if row is not None:
         cells.refuse(row, column, "is a rounded number that may stand for several names; export the column as text")
+
+
+def refuse_missing_like(cells: Cells, rows: Sequence[int], column: str, known: Collection[str], key: str) -> None:
+    """Refuse a text that other programs write for a missing value (`LogError`), unless the mapping names it."""
+    like = {*MISSING_TEXTS, *(NO_CAUSES if key == "ending" else ())} - {*known}
+    row = next((row for row in rows if cells.columns[column][row] in like), None)
+    if row is not None:
+        texts = json.dumps([cells.columns[column][row]])
+        named = "values, or in finished" if key == "ending" else "values"
+        trouble = f"may mean that nothing is there: set missing = {texts} in [table], or name it in {named}"
+        cells.refuse(row, column, trouble)
 
 
 def refuse_respelled(cells: Cells, rows: Sequence[int], column: str, known: Collection[str]) -> None:
@@ -112,8 +127,8 @@ def warn_of_late(cells: Cells, mapping: EventMapping, late: Counter[str]) -> Non
 
 def warn_of_running_clock(cells: Cells, clock: Clock, found: list[Trajectory]) -> None:
     """Warn about one clock for all trajectories if times should count from the beginning of each."""
-    spans = sorted((each.end_s, each.stages[0]["elapsed_s"]) for each in found if len(each.stages) > 1)
-    if len(spans) >= FEWEST_ON_ONE_CLOCK and all(end_s < first_s for (end_s, _), (_, first_s) in pairwise(spans)):
+    several = sorted((each for each in found if len(each.stages) > 1), key=lambda each: each.end_s)
+    if any(map(_run_on, (several, found))):
         begin = next(filter(BEGIN_LIKE.search, cells.columns), "COLUMN")
         warn(
             f"{cells.file}, column {clock.fields[-1]!r}",
@@ -121,6 +136,13 @@ def warn_of_running_clock(cells: Cells, clock: Clock, found: list[Trajectory]) -
             f'since = "trajectory" by begin = "{begin}", the column of the time at which a stage began, '
             "with that of its end as field",
         )
+
+
+def _run_on(found: Sequence[Trajectory]) -> bool:
+    """Whether enough trajectories follow one another: the first stage of each ends after the one before it."""
+    first_s = [each.end_s if each.stages[0]["elapsed_s"] is None else each.stages[0]["elapsed_s"] for each in found]
+    follow = all(end_s > before.end_s for before, end_s in zip(found, first_s[1:], strict=False))
+    return len(found) >= FEWEST_ON_ONE_CLOCK and follow
 
 
 def warn_of_early(cells: Cells, events: list[Event]) -> None:

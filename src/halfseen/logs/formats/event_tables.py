@@ -26,6 +26,7 @@ from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
 from halfseen.logs.formats.ending_flags import LOG_ENDED, are_flags, truths, with_ending
 from halfseen.logs.formats.event_doubts import (
     late_covariates,
+    refuse_missing_like,
     refuse_respelled,
     refuse_rounded,
     warn_of_early,
@@ -247,7 +248,8 @@ def _rows_that_tell(cells: Cells, mapping: EventMapping, key: str) -> list[int]:
 def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int], marks: Marks) -> list[Any]:
     """Read the cells of one column: numbers, or names, as whole numbers if all are; a covariate may be null."""
     texts, known, is_covariate = cells.columns[column], entry.values, "." in key
-    refuse_respelled(cells, rows, column, [*known, *(entry.finishing if isinstance(entry, Ending) else ())])
+    named = [*known, *(entry.finishing if isinstance(entry, Ending) else ())]
+    refuse_respelled(cells, rows, column, named)
     first = next((known.get(texts[row], texts[row]) for row in rows if texts[row]), "")
     has_text = any(
         isinstance(value, str) and table_values.plain_number(value, marks) is None for value in known.values()
@@ -267,6 +269,7 @@ def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int]
             cells.refuse(row, column, f"is not a valid {key}; give one, or leave the row out")
     if is_covariate and entry.type is None:
         table_values.refuse_most_numbers(cells, [row for row in rows if texts[row] not in known], column)
+    refuse_missing_like(cells, rows, column, named, key)
     if is_covariate and entry.type is None and not known:
         return truths([texts[row] for row in rows]) or [texts[row] or None for row in rows]
     if is_covariate:
@@ -302,7 +305,13 @@ def _groups(
     groups: dict[Any, list[int]] = {}
     for row, name in zip(rows, _read(cells, "trajectory", mapping.trajectory, column, rows, Marks()), strict=True):
         groups.setdefault(name, []).append(row)
-    return groups
+    return _oldest_first(groups, stamps) if mapping.clock.since is None else groups
+
+
+def _oldest_first(groups: dict[Any, list[int]], stamps: Stamps) -> dict[Any, list[int]]:
+    """Turn all groups around if each has its newest row first."""
+    steps = np.concatenate([np.diff(stamps[rows]) for rows in groups.values()])
+    return {name: rows[::-1] for name, rows in groups.items()} if (steps <= 0).all() and (steps < 0).any() else groups
 
 
 def _runs(rows: list[int], stamps: Stamps, values_of: list[list[tuple[str, Any]]]) -> list[list[int]]:

@@ -14,7 +14,9 @@ from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
 from halfseen.logs.formats.column_words import END_TIME_LIKE, EVENTS_LIKE, FINISHED_LIKE, FLAGS_LIKE, KNOWN_LATER, LIKE
 from halfseen.logs.formats.ending_flags import are_flags
+from halfseen.logs.formats.event_doubts import MISSING_TEXTS
 from halfseen.logs.formats.table_cells import (
+    ROW,
     TEXT_FILES,
     Cells,
     heading_of,
@@ -41,7 +43,6 @@ _DAYS = ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y",
 _DAYS += ("%d-%b-%Y", "%d-%b-%y")
 _TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M %p")
 _ROWS_LOOKED_AT = 1000
-_MISSING = ("NA", "N/A", "#N/A", "#NV", "NaN", "nan", "NULL", "null")
 
 
 def mapping_of(file: str | Path) -> str:
@@ -85,7 +86,7 @@ def _read(file: Path) -> Cells:
             raise
         cells = refuse_empty(read_cells(file, TextLayout(heading=heading)))
     texts = {text for column in cells.columns.values() for text in column}
-    layout = {"thousands": thousands_mark(cells), "missing": [text for text in _MISSING if text in texts]}
+    layout = {"thousands": thousands_mark(cells), "missing": [text for text in MISSING_TEXTS if text in texts]}
     cells = replace(cells, layout=msgspec.structs.replace(cells.layout, **layout))
     return without_missing(cells, cells.layout.missing)
 
@@ -279,7 +280,7 @@ def _flag_lines(cells: Cells, found: dict[str, str]) -> Iterator[str]:
 
 def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> Iterator[str]:
     """Lines of the remaining columns as covariates."""
-    free = [name for name in cells.columns if name not in found.values()]
+    free = [name for name in cells.columns if name not in (*found.values(), ROW)]
     for name in [] if "topic" in found else free:
         lines = f"[covariates.{_key(name)}]", f"field = {_guess(cells, name)}"
         if KNOWN_LATER.search(name):

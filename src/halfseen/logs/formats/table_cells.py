@@ -32,6 +32,8 @@ from halfseen.reading import TABLE, check_file, check_unpacked, json_of, opened,
 TEXT_FILES, TYPED_FILES, SHEETS = (".csv", ".tsv", ".txt"), (".parquet",), (".xlsx", ".xls", ".ods")
 JSON_LINES, PACKED = (".jsonl", ".ndjson"), ".gz"
 SEPARATORS = (";", ",", "\t", "|")
+ROW = "row"
+"""Name of a first column that has none."""
 ROWS_LOOKED_AT = 50
 _BYTES_AT_ONCE = 2**24
 _LATIN_IN_UTF_8 = re.compile(rb"\xc3[\x80-\xbf]")
@@ -237,6 +239,8 @@ def _split(file: Path, text: str, layout: TextLayout) -> Cells:
     except csv.Error as error:
         raise LogError(f"{file}, line {at}: it is not CSV ({reason_of(error)}); fix the line") from error
     names = _trimmed(kept[0], 1) if kept else []
+    if len(names) > 1 and not names[0] and ROW not in names:  # the index of pandas or R
+        names[0] = ROW
     for row, cells in zip(rows[1:], kept[1:], strict=True):
         if len(_trimmed(cells, len(names))) != len(names):
             raise LogError(

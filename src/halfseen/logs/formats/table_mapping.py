@@ -193,10 +193,15 @@ def _troubles_of_table(mapping: EventMapping) -> Iterator[tuple[str, str]]:
         )
     if clock.format is not None and (clock.unit or clock.since):
         yield "clock.format", "dates have a format, and numbers a unit; leave one of the two out"
-    hours = {each[-1] for each in re.findall("%.", clock.format or "")}
-    if "p" in hours and "I" not in hours:
+    parts = {each[-1] for each in re.findall("%.", clock.format or "")}
+    if "p" in parts and "I" not in parts:
         yield "clock.format", "%p has no effect with %H, so 01:00 PM is read as 01:00; use %I instead of %H"
-    if "I" in hours and "p" not in hours:
+    if "Z" in parts:
+        yield (
+            "clock.format",
+            "%Z is the name of a zone, which is not read; use %z for offsets, or set clock.zone",
+        )
+    if "I" in parts and "p" not in parts:
         yield "clock.format", "%I is an hour from 1 to 12, which needs %p; use %H, or add %p"
     if mapping.topic is None and clock.since is None and clock.begin is None:
         yield "clock.begin", "it is missing; name the column of a stage's beginning, or set since"

@@ -128,6 +128,8 @@ def number_at(cells: Cells, row: int, column: str, marks: Marks) -> float:
         remedy = f'set table.thousands = "{mark}" in the mapping' if mark else "set values, type or table.decimal"
         remedy = _remedy_if_missing(cell) or remedy
         cells.refuse(row, column, f"is not a number with decimal mark {marks.decimal!r}; fix it, or {remedy}")
+    if re.fullmatch(r"[-+]?\d+", cell) and int(value) != int(cell):
+        cells.refuse(row, column, 'is a whole number that no float holds; if it is a name, set type = "text"')
     return value
 
 
@@ -152,8 +154,8 @@ def refuse_most_numbers(cells: Cells, rows: Sequence[int], column: str) -> None:
 
 NANOSECONDS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9}
 NANOSECONDS |= {"h": 3600 * 10**9, "d": 86400 * 10**9}
-ISO = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?)?( ?(Z|[+-]\d\d:?\d\d))?")
-_ZONED = re.compile(r":.*(Z|[+-]\d\d:?\d\d)$")
+ISO = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?)?( ?(Z|[+-]\d\d(:?\d\d)?))?")
+_ZONED = re.compile(r":.*(Z|[+-]\d\d(?::?\d\d)?)$")
 _HOUR_NS = 3600 * 10**9
 _DAY_ALONE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}")
 TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d{1,9})?)?( ?[AaPp][Mm])?")
