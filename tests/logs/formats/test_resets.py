@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bags import SCHEMAS, Said, as_ros, pose, tables_of, write_bag, write_bag_of_ros_1, write_mcap
+from bags import BEGAN_NS, SCHEMAS, Said, as_ros, pose, tables_of, write_bag, write_bag_of_ros_1, write_mcap
 from halfseen.logs.formats import read_bag
 from halfseen.logs.formats.bag_messages import JITTER_NS, runs_of
 from refusals import refused
@@ -130,3 +130,22 @@ def test_runs_are_those_that_were_made(runs, rng):
     columns = np.array(sent)
     found = runs_of((columns[:, 1] * JITTER_NS).astype(int).tolist(), (columns[:, 0] * JITTER_NS).astype(int).tolist())
     assert found == columns[:, 2].astype(int).tolist()
+
+
+@pytest.mark.parametrize("clock", ["header", "log"])
+def test_times_of_0_beside_dates_are_refused(tmp_path, clock):
+    """A header whose stamp nobody set; a recorder that waited for the clock of a simulation."""
+    times = [(0.0, "/x"), (0.5, "/action"), (2.0, "/reward"), (2.5, "/end")]
+
+    def messages(of_x_s):
+        return [pose(at, topic, 1.0, stamp_s=of_x_s if topic == "/x" else BEGAN_NS / 1e9 + at) for at, topic in times]
+
+    file = mapping(tmp_path, OF_ROS).read_text().replace('"header"', f'"{clock}"')
+    (tmp_path / "cell.toml").write_text(file)
+    right, wrong = write_bag(tmp_path / "right", messages(BEGAN_NS / 1e9)), messages(0.0)
+    assert read_bag(right, tmp_path / "cell.toml").end_s.tolist() == [2.5]
+    if clock == "log":
+        wrong = [(-BEGAN_NS / 1e9 if message[1] == "/x" else message[0], *message[1:]) for message in wrong]
+    others = "'publish' or 'header'" if clock == "log" else "'log' or 'publish'"
+    with refused(rf"a message of /x has the time 0 by clock '{clock}', and others have dates; set clock = {others} in"):
+        read_bag(write_bag(tmp_path / "wrong", wrong), tmp_path / "cell.toml")

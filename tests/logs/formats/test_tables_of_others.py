@@ -155,3 +155,10 @@ def test_a_trajectory_whose_stages_all_end_at_0_was_not_cut_as_it_began(read_tab
 
 def test_characters_without_width_are_spelling():
     assert alike(["red", "\ufeffred", "red\u200b", "blue"]) == [["red", "red\u200b", "\ufeffred"]]
+
+
+@pytest.mark.parametrize("time", ["1970-01-01T00:00:00Z", "1899-12-30T00:00:00Z"])
+def test_a_clock_that_was_not_set_is_refused(read_table, time):
+    rows = [f"{time};r1;see;;5", "2025-01-01T00:00:01Z;r1;act;x;", "2025-01-01T00:00:02Z;r1;end;done;"]
+    with refused(rf"line 2, column 't': '{time}' is a date that a clock has before it is set, and others are of this"):
+        read_table("t;run;what;text;val\n" + "\n".join(rows), EVENTS.replace('{topic = "res"', '{topic = "act"'))

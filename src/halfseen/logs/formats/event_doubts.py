@@ -10,11 +10,11 @@ import numpy as np
 
 from halfseen.errors import warn
 from halfseen.logs.columns import shown
-from halfseen.logs.formats.bag_messages import Event
+from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, Event
 from halfseen.logs.formats.bags import Trajectory
 from halfseen.logs.formats.table_cells import Cells
 from halfseen.logs.formats.table_mapping import Clock, EventMapping
-from halfseen.logs.formats.table_values import BEGIN_LIKE, Stamps
+from halfseen.logs.formats.table_values import BEGIN_LIKE, NANOSECONDS, Stamps
 from halfseen.suggestions import folded
 
 _ROUNDED = re.compile(r"-?\d([.,]\d+)?[eE]\+\d+")
@@ -35,6 +35,15 @@ def refuse_rounded(cells: Cells, rows: Sequence[int], column: str) -> None:
     row = next((row for row in rows if _ROUNDED.fullmatch(cells.columns[column][row])), None)
     if row is not None:
         cells.refuse(row, column, "is a rounded number that may stand for several names; export the column as text")
+
+
+def refuse_unset(cells: Cells, stamps: Stamps, clock: Clock) -> None:
+    """Refuse times of the first day of 1970 or before beside dates of this century (`LogError`)."""
+    if len(stamps) and stamps.max() >= EARLIEST_DATE_NS and stamps.min() < NANOSECONDS["d"]:
+        trouble = (
+            "is a date that a clock has before it is set, and others are of this century; fix it, or leave the row out"
+        )
+        cells.refuse(int(np.argmin(stamps)), clock.fields[-1], trouble)
 
 
 def refuse_missing_like(cells: Cells, rows: Sequence[int], column: str, known: Collection[str], key: str) -> None:

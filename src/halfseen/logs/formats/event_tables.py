@@ -21,7 +21,7 @@ import pyarrow as pa
 from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.logs.columns import shown
 from halfseen.logs.formats import table_values
-from halfseen.logs.formats.bag_messages import JITTER_NS, Event
+from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, JITTER_NS, Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
 from halfseen.logs.formats.ending_flags import LOG_ENDED, are_flags, truths, with_ending
 from halfseen.logs.formats.event_doubts import (
@@ -29,6 +29,7 @@ from halfseen.logs.formats.event_doubts import (
     refuse_missing_like,
     refuse_respelled,
     refuse_rounded,
+    refuse_unset,
     warn_of_early,
     warn_of_late,
     warn_of_reordered,
@@ -44,9 +45,6 @@ from halfseen.logs.formats.wide_tables import one_row_a_stage
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.shapes import Int
-
-EARLIEST_DATE_NS = 10**18
-"""Larger numbers are dates, which a restart of a controller does not set back [ns since 1970]."""
 
 
 def read_event_table(
@@ -214,6 +212,7 @@ def _times(cells: Cells, mapping: EventMapping, marks: Marks, file: str) -> tupl
         raise ArgumentError(f"{file}, {error}") from error
     if clock.since is not None:
         begins = np.zeros_like(stamps)
+    refuse_unset(cells, stamps, clock)
     if begins is not None and (begins > stamps).any():
         cells.refuse(int(np.argmax(begins > stamps)), clock.fields[-1], "is before its beginning; fix one of them")
     return stamps, begins
