@@ -31,7 +31,7 @@ HELP = """Read the logs of SOURCE and write them to another form, all or nothing
 FOLDER              logs, as Parquet or CSV; those of an older halfseen are brought up to date
 BAG                 ROS 1 or 2, or MCAP with ROS 2, JSON or protobuf (or a folder of bags)
 minari:NAME-v0      a Minari dataset, also by its folder
-FOLDER of LeRobot   a dataset of its version 3
+FOLDER of LeRobot   a dataset of its version 2 or 3
 TABLE               steps as of RLDS: .parquet, .csv or .arrow (or a folder of them)
 TABLE of your own   by --mapping: .csv, .tsv, .txt, .jsonl (also with .gz), .parquet (or a folder)
 FILE.hdf5           steps as of D4RL
