@@ -239,6 +239,12 @@ def test_rows_of_a_database_are_events_too(place):
     run("sql:sqlite:///cell.db", "--mapping", "cell.toml", "--out", "out")
     run("events.csv", "--mapping", "events.toml", "--out", "all")
     assert same(read_logs("out"), read_logs("all").select([7, 8]))
+    Path("order.toml").write_text(
+        'clock = {field = "Wert", unit = "s", since = "stage"}\naction = {field = "Text"}\nreward = {field = "Wert"}\n'
+        'ending = {finished = "rewarded"}\ntable.query = "SELECT * FROM seen"\n'
+    )
+    told = "table.query: since = 'stage' takes the order of rows, which a database does not keep; add ORDER BY"
+    assert told in refusal("sql:sqlite:///cell.db", "--mapping", "order.toml", "--out", "x")
     assert "table.query: it is missing" in refusal("sql:sqlite:///cell.db", "--mapping", "events.toml", "--out", "x")
     assert "put the SELECT into it as table.query" in refusal("sql:sqlite:///cell.db", "--mapping-template")
     for words in (("--out", "x"), ("--out", "x", "--mapping", "cell.toml"), ("--mapping-template",)):

@@ -192,7 +192,11 @@ def _read_sql(url: str, how: Reading, missing: str | None) -> "Logs":
                 f"--mapping {how.mapping}: it replaces --stages, --trajectories and --objects; leave these out"
             )
         if is_event_mapping(how.mapping):
-            query = read_event_mapping(how.mapping).table.query
+            mapping = read_event_mapping(how.mapping)
+            query = mapping.table.query
+            if query is not None and mapping.takes_order and "order by" not in " ".join(query.lower().split()):
+                trouble = f"since = {mapping.clock.since!r} takes the order of rows, which a database does not keep"
+                raise ArgumentError(f"{how.mapping}, table.query: {trouble}; add ORDER BY")
             if query is None:
                 raise ArgumentError(f"{how.mapping}, table.query: it is missing; give the SELECT that returns the rows")
             return read_event_table(read_rows(url, query), how.mapping, place=shown_url(url), missing=missing)

@@ -2,6 +2,7 @@
 
 import warnings
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -162,3 +163,16 @@ def test_a_clock_that_was_not_set_is_refused(read_table, time):
     rows = [f"{time};r1;see;;5", "2025-01-01T00:00:01Z;r1;act;x;", "2025-01-01T00:00:02Z;r1;end;done;"]
     with refused(rf"line 2, column 't': '{time}' is a date that a clock has before it is set, and others are of this"):
         read_table("t;run;what;text;val\n" + "\n".join(rows), EVENTS.replace('{topic = "res"', '{topic = "act"'))
+
+
+@pytest.mark.parametrize("column", ["run", "tool"])
+def test_names_that_a_type_rounded_are_refused(tmp_path, column):
+    columns = {"run": ["a"] * 3, "tool": ["x"] * 3, "ms": [1, 2, 3], "worth": [1.0] * 3, "stop": [""] * 3}
+    columns[column] = pa.array(np.array([2**24, 2**24 + 2, 2**24 + 4], np.float32))
+    pq.write_table(pa.table(columns), tmp_path / "t.parquet")
+    (tmp_path / "cell.toml").write_text(PLAIN)
+    with (
+        pytest.warns(HalfseenWarning, match="which rounds 16777220 to multiples of 2"),
+        refused(rf"row 1, column '{column}': '16777216' is a rounded number that may stand for several names"),
+    ):
+        read_event_table(tmp_path / "t.parquet", tmp_path / "cell.toml")

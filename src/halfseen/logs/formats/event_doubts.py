@@ -31,8 +31,9 @@ Groups: TypeAlias = Mapping[Any, list[int]]
 
 
 def refuse_rounded(cells: Cells, rows: Sequence[int], column: str) -> None:
-    """Refuse a name in exponent notation, as spreadsheets round long numbers (`LogError`)."""
-    row = next((row for row in rows if _ROUNDED.fullmatch(cells.columns[column][row])), None)
+    """Refuse names that spreadsheets or types of fractions rounded (`LogError`)."""
+    is_rounded = column in cells.rounded
+    row = next((row for row in rows if is_rounded or _ROUNDED.fullmatch(cells.columns[column][row])), None)
     if row is not None:
         cells.refuse(row, column, "is a rounded number that may stand for several names; export the column as text")
 

@@ -53,6 +53,8 @@ class Cells:
     """Word for a row in messages: line, row if the file has no lines, or file if there are several."""
     unread: Mapping[str, str] = field(default_factory=dict)
     """Types of the columns that have no text form."""
+    rounded: frozenset[str] = frozenset()
+    """Columns of fractions so large that neighbouring whole numbers became one."""
 
     def place(self, row: int, column: str | None = None) -> str:
         """Name a row or a cell."""
@@ -165,16 +167,17 @@ def cells_of(place: str, table: pa.Table) -> Cells:
     LogError
         A name is empty or repeated.
     """
-    columns, unread = {}, {}
+    columns, unread, rounded = {}, {}, set()
     for name, column in zip(table.column_names, table.columns, strict=True):
         try:
             columns[name] = _texts_of(column)
         except (pa.ArrowException, ValueError, NotImplementedError):
             unread[name] = str(column.type)
             continue
-        _warn_of_rounded(f"{place}, column {name!r}", column)
-    rows = range(1, table.num_rows + 1)
-    return _checked(Cells(place, columns, rows, TextLayout(decimal="."), "row", unread), table.column_names)
+        if _warn_of_rounded(f"{place}, column {name!r}", column):
+            rounded.add(name)
+    rows, layout = range(1, table.num_rows + 1), TextLayout(decimal=".")
+    return _checked(Cells(place, columns, rows, layout, "row", unread, frozenset(rounded)), table.column_names)
 
 
 def _texts_of(column: Any) -> list[str]:
@@ -185,15 +188,17 @@ def _texts_of(column: Any) -> list[str]:
     return [(cell or "").strip() for cell in values.cast(pa.string()).to_pylist()]
 
 
-def _warn_of_rounded(where: str, column: Any) -> None:
+def _warn_of_rounded(where: str, column: Any) -> bool:
     """Warn about fractions so large that their type rounds them to every other whole number, or coarser."""
     if not (pa.types.is_float32(column.type) or pa.types.is_float64(column.type)):
-        return
+        return False
     sizes = np.abs(column.to_numpy())
     most = np.max(sizes, initial=0.0, where=np.isfinite(sizes))
-    if np.spacing(most) > 1:
-        trouble = f"it holds {sizes.dtype}, which rounds {most:.9g} to multiples of {np.spacing(most):g}"
-        warn(where, f"{trouble}; export it in a wider type, or as whole numbers or text")
+    if np.spacing(most) <= 1:
+        return False
+    trouble = f"it holds {sizes.dtype}, which rounds {most:.9g} to multiples of {np.spacing(most):g}"
+    warn(where, f"{trouble}; export it in a wider type, or as whole numbers or text")
+    return True
 
 
 def _decoded(file: Path, content: bytes, encoding: str | None) -> tuple[str, str]:

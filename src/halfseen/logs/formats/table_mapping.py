@@ -148,6 +148,11 @@ class EventMapping(msgspec.Struct, **Given):
         return " or ".join(map(shown, topics)) if topics else f"column {self.column(key)!r}"
 
     @property
+    def takes_order(self) -> bool:
+        """Whether the order of rows tells the order of stages, not a clock."""
+        return self.clock.since == "stage" or (self.clock.since is not None and self.has_begins)
+
+    @property
     def has_begins(self) -> bool:
         """Whether an event begins a trajectory."""
         return self.trajectory is not None and bool(self.trajectory.topics)
