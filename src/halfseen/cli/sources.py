@@ -216,7 +216,7 @@ def _read_events(source: str, how: Reading, missing: str | None) -> "Logs":
     refuse_workbook(Path(source))
     if how.mapping is None:
         raise ArgumentError(
-            f"{source}: it is not a table of steps (no column is_last), and a table with other columns needs "
+            f"{source}: it is not a table of steps (.csv, .parquet or .arrow with a column is_last), and others need "
             f"--mapping; make a template: halfseen convert {shlex.quote(source)} --mapping-template --out cell.toml"
         )
     tables = tables_of_events(Path(source)) if Path(source).is_dir() else source

@@ -199,7 +199,7 @@ WRONG = {
     with_columns: [
         ({"action": [[0.5, 0.1]] * 8}, r"action holds .* discretise it"),
         ({"action": [0.5] * 8}, r"action holds float64 .* finitely many"),
-        ({"next__reward": ["a"] * 8}, r"next\.reward holds object .* not a number"),
+        ({"next__reward": ["a"] * 8}, r"row 0: next\.reward is 'a', not a number"),
         ({"next__reward": [[0.0, 1.0]] * 8}, r"next\.reward holds .* not a number"),
         ({"next__reward": [NAN] * 8}, r"trajectory 0, stage 1: .*its reward is nan"),
         ({"observation__state": [[0.1]] * 7 + [[0.1, 0.2]]}, r"row 7: observation\.state has 2 values"),

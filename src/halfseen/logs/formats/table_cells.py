@@ -9,7 +9,6 @@ import gzip
 import io
 import json
 import re
-import zlib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -75,15 +74,15 @@ def kind_of_table(file: Path) -> str:
 def is_event_table(file: Path, is_mapped: bool) -> bool:
     """Whether to read a file by a mapping: it is a table, and a mapping is given or it is not a step table."""
     kind = kind_of_table(file)
-    if is_mapped or kind not in (".csv", *TYPED_FILES):
+    if is_mapped or kind not in (".csv", *TYPED_FILES) or file.suffix.lower() == PACKED:
         return kind in (*TEXT_FILES, *JSON_LINES, *TYPED_FILES, *SHEETS)
     try:
         if kind in TYPED_FILES:
             return LAST not in parquet_file(file).schema_arrow.names
         with opened(file, TABLE) as held:
-            lines = gzip.GzipFile(fileobj=held) if file.suffix.lower() == PACKED else held
-            return LAST.encode() not in lines.readline(ROWS_LOOKED_AT * 1000)
-    except (OSError, EOFError, zlib.error, pa.ArrowException):
+            # Without null bytes UTF-16 looks like ASCII.
+            return LAST.encode() not in held.readline(ROWS_LOOKED_AT * 1000).replace(b"\0", b"")
+    except (OSError, pa.ArrowException):
         return False
 
 
