@@ -260,7 +260,7 @@ def test_the_mapping_that_is_made_from_a_table_reads_it(read_table, tmp_path, en
         "topic = \"Ereignis\"  # guess: such as 'Gewicht' and 'Griff'",
         'separator = ";"  # guess',
         'decimal = ","  # guess: decimal mark, "," or "."',
-        f'encoding = "{encoding}"  # guess: utf-8, utf-8-sig, cp1252 or utf-16',
+        f'encoding = "{encoding}"  # guess: utf-8, cp1252, utf-16, shift_jis, gbk, …',
         "field = \"Lauf\"  # guess: such as '7' and '8'",
         "field = \"Text\"  # guess: such as 'fertig' and 'Not-Halt'",
     ):

@@ -176,3 +176,22 @@ def test_names_that_a_type_rounded_are_refused(tmp_path, column):
         refused(rf"row 1, column '{column}': '16777216' is a rounded number that may stand for several names"),
     ):
         read_event_table(tmp_path / "t.parquet", tmp_path / "cell.toml")
+
+
+@pytest.mark.parametrize(
+    ("encoding", "word"), [("shift_jis", "把持"), ("gbk", "抓取"), ("iso8859_2", "chwyć"), ("mac_roman", "Säule")]
+)
+def test_a_mapping_names_any_encoding(read_table, encoding, word):
+    text = f"run;tool;ms;worth;stop\na;{word};10;1;\n"
+    logs = read_table(text, PLAIN + f'table.encoding = "{encoding}"', encoding)
+    assert logs.stages["action"].tolist() == [word]
+    for unknown in ("klingon", "base64", "hex"):
+        with refused(rf"cell\.toml, table\.encoding: '{unknown}' is unknown; use one of Python's"):
+            read_table(text, PLAIN + f'table.encoding = "{unknown}"')
+
+
+def test_times_in_thousands_name_the_remedy(read_table):
+    text = "run;tool;ms;worth;stop\na;x;1.000,5;1;\nb;x;2.500,25;1;\n"
+    with refused(r"line 2, column 'ms': '1\.000,5' is not a number with decimal mark '\.'; set table\.thousands ="):
+        read_table(text, PLAIN)
+    assert read_table(text, PLAIN + 'table.thousands = "."').end_s.tolist() == [1.0005, 2.50025]

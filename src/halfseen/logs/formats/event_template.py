@@ -164,7 +164,7 @@ def _template(
         yield f"# There are {', '.join(map(shown, topics[:20]))}."
     if cells.layout.separator is not None:
         yield from ("", "[table]", f"separator = {_quoted(cells.layout.separator)}  # guess")
-        yield f"encoding = {_quoted(str(cells.layout.encoding))}  # guess: utf-8, utf-8-sig, cp1252 or utf-16"
+        yield f"encoding = {_quoted(str(cells.layout.encoding))}  # guess: utf-8, cp1252, utf-16, shift_jis, gbk, …"
         yield _decimal_line(cells)
         if cells.layout.thousands is not None:
             yield f"thousands = {_quoted(cells.layout.thousands)}  # guess: between groups of three digits"

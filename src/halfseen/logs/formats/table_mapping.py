@@ -19,7 +19,8 @@ class TextLayout(msgspec.Struct, **Given):
     decimal: Literal[",", "."] | None = None
     thousands: Literal[".", ",", "'", " "] | None = None
     """Thousands separator: point, comma, apostrophe or space."""
-    encoding: Literal["utf-8", "utf-8-sig", "cp1252", "utf-16"] | None = None
+    encoding: str | None = None
+    """Any of Python's, such as ``cp1252``, ``utf-16`` or ``shift_jis``."""
     heading: Annotated[int, msgspec.Meta(ge=1)] = 1
     """Line that names the columns, from 1."""
     query: str | None = None
@@ -191,6 +192,11 @@ def _troubles_of_table(mapping: EventMapping) -> Iterator[tuple[str, str]]:
         yield "wide", "it is for one row a trajectory, and topic for one row an event; leave one out"
     if layout.thousands is not None and layout.thousands == layout.decimal:
         yield "table.thousands", "it is also the decimal mark; fix one of the two"
+    if layout.encoding is not None and not _is_encoding(layout.encoding):
+        yield (
+            "table.encoding",
+            f"{layout.encoding!r} is unknown; use one of Python's, such as 'cp1252' or 'gbk'",
+        )
     if clock.unit is not None and max(len(clock.fields), len(clock.begins)) > 1:
         yield (
             "clock.field",
@@ -227,6 +233,17 @@ def _troubles_of_table(mapping: EventMapping) -> Iterator[tuple[str, str]]:
             isinstance(value, str) for value in entry.values.values()
         ):
             yield f"{key}.values", "they are text; give numbers"
+
+
+def _is_encoding(name: str) -> bool:
+    """Whether Python decodes text by this name, not bytes as `base64` does."""
+    try:
+        b"a".decode(name)
+    except UnicodeDecodeError:
+        return True
+    except (LookupError, ValueError):
+        return False
+    return True
 
 
 def _troubles_of_flags(ending: Ending) -> Iterator[tuple[str, str]]:

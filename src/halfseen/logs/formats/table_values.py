@@ -330,7 +330,9 @@ def _counted(cells: Cells, column: str, factor: int, marks: Marks) -> Stamps:
     stamps = np.zeros(len(cells.rows), dtype=np.int64)
     for row, cell in enumerate(cells.columns[column]):
         if (number := plain_number(cell, marks)) is None:
-            cells.refuse(row, column, f"is not a number with decimal mark {marks.decimal!r}; every row needs its time")
+            mark = grouped_by(cell)
+            remedy = f'set table.thousands = "{mark}" in the mapping' if mark else "every row needs its time"
+            cells.refuse(row, column, f"is not a number with decimal mark {marks.decimal!r}; {remedy}")
         stamp = round(Decimal(number) * factor)
         if abs(stamp) >= 2**62:
             cells.refuse(row, column, "does not fit in 64 bits of ns; fix it, or clock.unit")
