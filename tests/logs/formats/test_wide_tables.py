@@ -39,6 +39,14 @@ def test_a_trial_of_one_row_a_patient(read_table, tmp_path):
     assert (stages(again, "age", "sofa"), ends(again)) == (OF_PATIENTS, ENDS)
 
 
+def test_the_guess_of_names_prefers_those_of_patients_to_numbers_of_rows(tmp_path):
+    heading, *rows = SEEN.replace('"age"', '"site"').replace('"id"', '"patient"').splitlines()
+    lines = [f'"",{heading}', *(f"{k},{row}".replace(",50,", f",s{k},") for k, row in enumerate(rows))]
+    (tmp_path / "trial.csv").write_text("\n".join(lines))
+    made = mapping_of(tmp_path / "trial.csv").splitlines()
+    assert made[made.index("[trajectory]") + 1].startswith('field = "patient"  # guess')
+
+
 def by_name(pattern):
     """The trial with other names of its columns by stage."""
     heading, *rows = SEEN.splitlines(keepends=True)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from halfseen.logs.formats.column_words import LIKE, WIDE_LIKE
-from halfseen.logs.formats.table_cells import Cells
+from halfseen.logs.formats.table_cells import ROW, Cells
 from halfseen.logs.formats.table_values import WHOLE, is_numeric
 from halfseen.logs.formats.wide_tables import STAGE, reshaped, staged_columns, stages_of
 
@@ -33,7 +33,7 @@ class Wide(NamedTuple):
 def guessed_wide(cells: Cells) -> Wide | None:
     """Guess the columns by stage; None for other tables, such as those where names of trajectories repeat."""
     for name, texts in cells.columns.items():
-        if re.search(WIDE_LIKE["trajectory"], name, re.IGNORECASE) and len(set(texts)) < len(texts):
+        if _is_name(name) and len(set(texts)) < len(texts):
             return None
     pattern, action = next((way for name in cells.columns if (way := _way(cells, name))), ("", ""))
     if not pattern:
@@ -41,7 +41,8 @@ def guessed_wide(cells: Cells) -> Wide | None:
     staged = staged_columns(cells, stages_of(cells.columns, pattern), action, (), "")
     rows = reshaped(cells, staged, list(staged))
     once = [name for name in cells.columns if name in rows.columns and name not in staged]
-    name = next((name for name in once if _are_names(cells.columns[name])), None)
+    names = [name for name in once if _are_names(cells.columns[name])]
+    name = next(iter(sorted(names, key=lambda name: (name == ROW, not _is_name(name)))), None)
     reward = next((name for name in (*staged, *once) if _is(name, "reward") and _are_numbers(rows.columns[name])), None)
     found = {"action": action, "trajectory": name, "reward": reward}
     known = {key: name for key, name in found.items() if name is not None}
@@ -73,6 +74,10 @@ def _way(cells: Cells, column: str) -> tuple[str, str] | None:
 
 def _is(name: str, key: str) -> bool:
     return re.fullmatch(WIDE_LIKE[key], name, re.IGNORECASE) is not None
+
+
+def _is_name(name: str) -> bool:
+    return re.search(WIDE_LIKE["trajectory"], name, re.IGNORECASE) is not None
 
 
 def _are_numbers(texts: Sequence[str]) -> bool:
