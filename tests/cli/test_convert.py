@@ -290,9 +290,12 @@ def test_who_has_a_table_and_no_mapping_hears_of_the_command_that_makes_one(plac
             status, out, err = typed(*words)
             assert (status, out, err.count("\n")) == (2, "", 1)
             assert f"halfseen convert {quoted} --mapping-template --out cell.toml" in err
-    (place / "book.xlsx").write_bytes(b"PK")
-    assert "book.xlsx: workbooks are not read; save the sheet as CSV" in refusal("book.xlsx", "--out", "logs")
-    assert "`halfseen convert --help` lists the files that are read" in typed("inspect", "book.xlsx").err
+    (place / "book.xls").write_bytes(b"PK")
+    assert "book.xls: such workbooks are not read; save it as .xlsx" in refusal("book.xls", "--out", "logs")
+    assert "`halfseen convert --help` lists the files that are read" in typed("inspect", "book.xls").err
+    assert "halfseen convert book.xlsx --mapping-template" in (
+        (place / "book.xls").rename(place / "book.xlsx") and typed("inspect", "book.xlsx").err
+    )
     (place / "events.zip").write_bytes(b"PK")
     assert "unpack it, and read its contents" in refusal("events.zip", "--out", "logs")
     (place / "events.csv.GZ").write_bytes(gzip.compress(GERMAN.encode("cp1252")))

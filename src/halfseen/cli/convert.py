@@ -33,7 +33,7 @@ BAG                 ROS 1 or 2, or MCAP with ROS 2, JSON or protobuf (or a folde
 minari:NAME-v0      a Minari dataset, also by its folder
 FOLDER of LeRobot   a dataset of its version 2 or 3
 TABLE               steps as of RLDS: .parquet, .csv or .arrow (or a folder of them)
-TABLE of your own   by --mapping: .csv, .tsv, .txt, .jsonl (also with .gz), .parquet (or a folder)
+TABLE of your own   by --mapping: .csv, .tsv, .txt, .jsonl (or .gz), .xlsx, .parquet (or a folder)
 FILE.hdf5           steps as of D4RL
 sql:URL             rows of a database, as SQLAlchemy reaches it
 

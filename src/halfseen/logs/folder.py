@@ -86,7 +86,8 @@ def asking(place: Place) -> Iterator[None]:
         raise LogError(f"{place}: the store did not answer ({reason}); check the address and your access") from error
 
 
-FOREIGN_TABLES = (".csv", ".tsv", ".txt", ".jsonl", ".ndjson", ".csv.gz", ".tsv.gz", ".txt.gz", ".jsonl.gz", ".parquet")
+FOREIGN_TABLES = (".csv", ".tsv", ".txt", ".jsonl", ".ndjson", ".csv.gz", ".tsv.gz", ".txt.gz", ".jsonl.gz")
+FOREIGN_TABLES += (".parquet", ".xlsx", ".xlsm")
 """Files of other programs that `halfseen convert` turns into logs by a mapping."""
 PACKED = (".gz", ".zip", ".zst", ".bz2", ".xz", ".7z", ".tar", ".tgz")
 """Files that hold other files."""

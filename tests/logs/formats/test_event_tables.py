@@ -235,8 +235,8 @@ def test_a_mapping_that_does_not_fit_is_refused(read_table, old, new, message):
 
 
 def test_files_of_no_table_are_refused(read_table, tmp_path):
-    with refused(r"book\.xlsx: workbooks are not read; save the sheet as CSV UTF-8"):
-        read_table("", HISTORIAN, name="book.xlsx")
+    with refused(r"book\.ods: such workbooks are not read; save it as \.xlsx, or the sheet as CSV UTF-8"):
+        read_table("", HISTORIAN, name="book.ods")
     for text, message in (
         ("", r"there are no rows|none of the separators"),
         ("a;b\n", r"there are no rows below the heading"),

@@ -15,9 +15,11 @@ from halfseen.logs.columns import STAGE_COLUMNS, shown
 from halfseen.logs.formats.column_words import END_TIME_LIKE, EVENTS_LIKE, FINISHED_LIKE, FLAGS_LIKE, KNOWN_LATER, LIKE
 from halfseen.logs.formats.ending_flags import are_flags
 from halfseen.logs.formats.event_doubts import MISSING_TEXTS
+from halfseen.logs.formats.layout_lines import layout_lines, quoted
 from halfseen.logs.formats.table_cells import (
     ROW,
     TEXT_FILES,
+    WORKBOOKS,
     Cells,
     heading_of,
     kind_of_table,
@@ -33,7 +35,6 @@ from halfseen.logs.formats.table_values import (
     dates_and_times,
     is_numeric,
     joined,
-    marks_of,
     thousands_mark,
 )
 from halfseen.logs.formats.wide_guess import Wide, guessed_wide
@@ -81,7 +82,7 @@ def _read(file: Path) -> Cells:
     try:
         cells = refuse_empty(read_cells(file, TextLayout()))
     except LogError:
-        heading = heading_of(file) if kind_of_table(file) in TEXT_FILES else 1
+        heading = heading_of(file) if kind_of_table(file) in (*TEXT_FILES, *WORKBOOKS) else 1
         if heading == 1:
             raise
         cells = refuse_empty(read_cells(file, TextLayout(heading=heading)))
@@ -157,21 +158,13 @@ def _template(
     topics = list(dict.fromkeys(cells.columns[found["topic"]])) if "topic" in found else []
     if wide is not None:
         yield from ("", "# Each row is a trajectory; below, columns by stage are named without their stage.")
-        yield f"wide = {_quoted(wide.pattern)}  # guess: {', '.join(map(shown, wide.staged[1:]))} are by stage"
+        yield f"wide = {quoted(wide.pattern)}  # guess: {', '.join(map(shown, wide.staged[1:]))} are by stage"
     if topics:
         yield from ("", "# Column of events, one row each; without it each row is a stage.")
         yield f"topic = {_guess(cells, found['topic'])}"
         yield f"# There are {', '.join(map(shown, topics[:20]))}."
-    if cells.layout.separator is not None:
-        yield from ("", "[table]", f"separator = {_quoted(cells.layout.separator)}  # guess")
-        yield f"encoding = {_quoted(str(cells.layout.encoding))}  # guess: utf-8, cp1252, utf-16, shift_jis, gbk, …"
-        yield _decimal_line(cells)
-        if cells.layout.thousands is not None:
-            yield f"thousands = {_quoted(cells.layout.thousands)}  # guess: between groups of three digits"
-        if cells.layout.missing:
-            yield f"missing = [{', '.join(map(_quoted, cells.layout.missing))}]  # guess: texts of empty cells"
-        if cells.layout.heading > 1:
-            yield f"heading = {cells.layout.heading}  # guess: the line that names the columns"
+    if layout := list(layout_lines(cells)):
+        yield from ("", "[table]", *layout)
     yield from ("", "[clock]", *_clock_lines(cells, found, bool(topics), parts))
     like = _events_like(topics)
     for key in ("trajectory", "action", "object", "probability", "reward", "ending"):
@@ -191,13 +184,6 @@ def _events_like(topics: list[str]) -> dict[str, list[str]]:
     return like
 
 
-def _decimal_line(cells: Cells) -> str:
-    try:
-        return f'decimal = {_quoted(marks_of(cells, list(cells.columns)).decimal)}  # guess: decimal mark, "," or "."'
-    except LogError:
-        return '# decimal = ","  # the decimal mark, which cannot be guessed: "," or "."'
-
-
 def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: dict[str, list[str]]) -> Iterator[str]:
     """Lines of the clock."""
     if "clock.field" not in found:
@@ -215,7 +201,7 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
     if len(formats) > 1:
         yield "# The order of day and month cannot be guessed; choose one:"
     yield from (
-        f"{'# ' if len(formats) > 1 else ''}format = {_quoted(one)}  # guess" for one in formats if one != "ISO8601"
+        f"{'# ' if len(formats) > 1 else ''}format = {quoted(one)}  # guess" for one in formats if one != "ISO8601"
     )
     if all(map(TIME_OF_DAY.fullmatch, cells.columns[name])):
         yield "# They have no date: the next day begins where they fall back past midnight."
@@ -241,7 +227,7 @@ def _unit(name: str, texts: Sequence[str]) -> str:
 
 def _guessed_time(cells: Cells, name: str, parts: dict[str, list[str]]) -> str:
     """The guessed columns of a time."""
-    return _guess(cells, name).replace(_quoted(name), json.dumps(parts.get(name, name), ensure_ascii=False), 1)
+    return _guess(cells, name).replace(quoted(name), json.dumps(parts.get(name, name), ensure_ascii=False), 1)
 
 
 def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]) -> Iterator[str]:
@@ -255,15 +241,15 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
         return
     yield f"[{key}]"
     if topic:
-        yield f"topic = [{', '.join(map(_quoted, topic))}]  # guess: these events carry it"
+        yield f"topic = [{', '.join(map(quoted, topic))}]  # guess: these events carry it"
     if column is not None:
         yield f"field = {_guess(cells, column, rows)}"
     texts = topic if column is None else list(dict.fromkeys(cells.columns[column][row] for row in rows))
     if key == "ending":
         ends = [text for text in texts if FINISHED_LIKE.search(text)] or [text for text in texts if not text]
-        yield f'finished = [{", ".join(map(_quoted, ends))}]  # guess: endings that are not cuts, "" for an empty cell'
+        yield f'finished = [{", ".join(map(quoted, ends))}]  # guess: endings that are not cuts, "" for an empty cell'
     elif key == "action" or (key == "reward" and not all(map(is_numeric, filter(None, texts)))):
-        names = list(map(_quoted, filter(None, texts)))[: 1 if key == "action" else 20]
+        names = list(map(quoted, filter(None, texts)))[: 1 if key == "action" else 20]
         pairs = ", ".join(f"{name} = {name if key == 'action' else '1.0'}" for name in names)
         meaning = "its action, if that has another name" if key == "action" else "what each earns"
         yield f"# values = {{{pairs}}}  # {meaning}"
@@ -292,7 +278,7 @@ def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> 
         rows = _rows(cells, found, [topic])
         column = _filled(cells, found, "covariates", rows)
         if column is not None:
-            yield from ("", f"[covariates.{_key(topic)}]", f"topic = {_quoted(topic)}  # guess: this event carries it")
+            yield from ("", f"[covariates.{_key(topic)}]", f"topic = {quoted(topic)}  # guess: this event carries it")
             yield f"field = {_guess(cells, column, rows)}"
 
 
@@ -314,7 +300,7 @@ def _filled(cells: Cells, found: dict[str, str], key: str, rows: list[int]) -> s
 
 def _guess(cells: Cells, name: str, rows: Sequence[int] | None = None) -> str:
     texts = cells.columns[name] if rows is None else [cells.columns[name][row] for row in rows]
-    return f"{_quoted(name)}  # guess: such as {' and '.join(map(shown, list(filter(None, dict.fromkeys(texts)))[:2]))}"
+    return f"{quoted(name)}  # guess: such as {' and '.join(map(shown, list(filter(None, dict.fromkeys(texts)))[:2]))}"
 
 
 def _names(cells: Cells) -> str:
@@ -323,11 +309,7 @@ def _names(cells: Cells) -> str:
 
 def _key(name: str) -> str:
     named = f"{name}_before" if name in STAGE_COLUMNS else name
-    return named if re.fullmatch(r"[A-Za-z0-9_-]+", named) else _quoted(named)
-
-
-def _quoted(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return named if re.fullmatch(r"[A-Za-z0-9_-]+", named) else quoted(named)
 
 
 def _date_formats(texts: Sequence[str]) -> list[str]:

@@ -1,6 +1,6 @@
 """Cells of any table as text, with the line of each row.
 
-In order: bytes → text (encoding) → cells (separator) or JSON lines → cells, or typed columns → the same cells.
+In order: bytes → text (encoding) → cells (separator, JSON lines), or a sheet or typed columns → the same cells.
 `halfseen.logs.formats.table_values` interprets the text.
 """
 
@@ -25,10 +25,12 @@ from halfseen.logs.columns import refuse_repeated, shown
 from halfseen.logs.formats.quotes import check_quotes
 from halfseen.logs.formats.step_tables import LAST, whole_table
 from halfseen.logs.formats.table_mapping import TextLayout
+from halfseen.logs.formats.workbooks import rows_of_sheet
 from halfseen.logs.parquet import parquet_file
 from halfseen.reading import TABLE, check_file, check_unpacked, json_of, opened, reason_of, refused
 
-TEXT_FILES, TYPED_FILES, SHEETS = (".csv", ".tsv", ".txt"), (".parquet",), (".xlsx", ".xls", ".ods")
+TEXT_FILES, TYPED_FILES, WORKBOOKS = (".csv", ".tsv", ".txt"), (".parquet",), (".xlsx", ".xlsm")
+OTHER_SHEETS = (".xls", ".xlsb", ".ods")
 JSON_LINES, PACKED = (".jsonl", ".ndjson"), ".gz"
 SEPARATORS = (";", ",", "\t", "|")
 ROW = "row"
@@ -75,7 +77,7 @@ def is_event_table(file: Path, is_mapped: bool) -> bool:
     """Whether to read a file by a mapping: it is a table, and a mapping is given or it is not a step table."""
     kind = kind_of_table(file)
     if is_mapped or kind not in (".csv", *TYPED_FILES) or file.suffix.lower() == PACKED:
-        return kind in (*TEXT_FILES, *JSON_LINES, *TYPED_FILES, *SHEETS)
+        return kind in (*TEXT_FILES, *JSON_LINES, *TYPED_FILES, *WORKBOOKS, *OTHER_SHEETS)
     try:
         if kind in TYPED_FILES:
             return LAST not in parquet_file(file).schema_arrow.names
@@ -102,8 +104,13 @@ def read_cells(file: Path, layout: TextLayout) -> Cells:
         with whole_table(file):
             table = parquet_file(file).read()
         return cells_of(str(file), table)
+    if kind in WORKBOOKS:
+        with whole_table(file):
+            cells = rows_of_sheet(file, layout.sheet)
+        there = {number: row for number, row in cells.items() if number >= layout.heading}
+        return _headed(file, list(there.values()), list(there), msgspec.structs.replace(layout, decimal="."), "row")
     if kind not in (*TEXT_FILES, *JSON_LINES):
-        kinds = ", ".join((*TEXT_FILES, *JSON_LINES, *TYPED_FILES))
+        kinds = ", ".join((*TEXT_FILES, *JSON_LINES, *TYPED_FILES, *WORKBOOKS))
         raise ArgumentError(f"{file}: a mapping of columns reads {kinds}; export one")
     text, encoding = _text(file, layout.encoding)
     if kind in JSON_LINES:
@@ -151,9 +158,9 @@ def _text_of(value: Any) -> str:
 
 
 def refuse_workbook(file: Path) -> None:
-    """Refuse spreadsheet files (`ArgumentError`)."""
-    if file.suffix.lower() in SHEETS:
-        raise ArgumentError(f"{file}: workbooks are not read; save the sheet as CSV UTF-8, and convert that file")
+    """Refuse spreadsheet files other than those of `WORKBOOKS` (`ArgumentError`)."""
+    if file.suffix.lower() in OTHER_SHEETS:
+        raise ArgumentError(f"{file}: such workbooks are not read; save it as .xlsx, or the sheet as CSV UTF-8")
 
 
 def cells_of(place: str, table: pa.Table) -> Cells:
@@ -242,17 +249,25 @@ def _split(file: Path, text: str, layout: TextLayout) -> Cells:
             at = number + reader.line_num + 1
     except csv.Error as error:
         raise LogError(f"{file}, line {at}: it is not CSV ({reason_of(error)}); fix the line") from error
+    return _headed(file, kept, rows, msgspec.structs.replace(layout, separator=separator))
+
+
+def _headed(
+    file: Path, kept: Sequence[list[str]], rows: Sequence[int], layout: TextLayout, word: str = "line"
+) -> Cells:
+    """Make a table of rows, of which the first has the names of the columns."""
     names = _trimmed(kept[0], 1) if kept else []
     if len(names) > 1 and not names[0] and ROW not in names:  # the index of pandas or R
         names[0] = ROW
     for row, cells in zip(rows[1:], kept[1:], strict=True):
-        if len(_trimmed(cells, len(names))) != len(names):
+        if len(_trimmed(cells, len(names))) > len(names) or (word == "line" and len(cells) < len(names)):
+            between = f" between {layout.separator!r}" if layout.separator else ""
             raise LogError(
-                f"{file}, line {row}: it has {len(cells)} cells between {separator!r}, and the heading has "
-                f"{len(names)}; fix or delete the line, or set table.separator or table.heading"
+                f"{file}, {word} {row}: it has {len(cells)} cells{between}, and the heading has {len(names)}; fix or "
+                "delete it, or set table.separator, table.sheet or table.heading"
             )
-    columns = {name: [cells[k] for cells in kept[1:]] for k, name in enumerate(names)}
-    return _checked(Cells(str(file), columns, rows[1:], msgspec.structs.replace(layout, separator=separator)), names)
+    columns = {name: [cells[k] if k < len(cells) else "" for cells in kept[1:]] for k, name in enumerate(names)}
+    return _checked(Cells(str(file), columns, rows[1:], layout, word), names)
 
 
 def _trimmed(cells: list[str], least: int) -> list[str]:
@@ -302,6 +317,11 @@ def _separator(file: Path, text: str) -> str:
 
 def heading_of(file: Path) -> int:
     """Line of the probable heading: the first with as many cells as most of the first lines, or one fewer."""
+    if kind_of_table(file) in WORKBOOKS:
+        with whole_table(file):
+            rows = dict(islice(rows_of_sheet(file, None).items(), ROWS_LOOKED_AT))
+        usual = Counter(map(len, rows.values())).most_common(1)[0][0] if rows else 0
+        return next((number for number, row in rows.items() if len(row) >= max(1, usual - 1)), 1)
     text, _ = _text(file, None)
     lines = text.splitlines()[:ROWS_LOOKED_AT]
     found: dict[int, int] = {}

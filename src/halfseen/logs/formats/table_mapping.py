@@ -23,6 +23,8 @@ class TextLayout(msgspec.Struct, **Given):
     """Any of Python's, such as ``cp1252``, ``utf-16`` or ``shift_jis``."""
     heading: Annotated[int, msgspec.Meta(ge=1)] = 1
     """Line that names the columns, from 1."""
+    sheet: str | None = None
+    """Sheet of a workbook; by default the first."""
     query: str | None = None
     """For a database, the SELECT whose rows are read."""
     missing: list[str] = []
