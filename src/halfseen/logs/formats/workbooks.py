@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from datetime import datetime, timedelta
 from pathlib import Path, PurePosixPath
-from typing import Any, BinaryIO
+from typing import Any
 from xml.etree import ElementTree
 
 from halfseen.errors import ArgumentError, warn
@@ -57,10 +57,10 @@ def rows_of_sheet(file: Path, sheet: str | None) -> dict[int, list[str]]:
         is_1904 = any(_of(each, "date1904") in ("1", "true") for each in _all(book, "workbookPr"))
         begin = datetime(1904, 1, 1) if is_1904 else datetime(1899, 12, 30)
         with archive.open(str(PurePosixPath("/xl", parts[name]))[1:]) as part:
-            return dict(_rows(part, texts, formats, begin))  # pyright: ignore[reportArgumentType]
+            return dict(_rows(part, texts, formats, begin))
 
 
-def _rows(part: BinaryIO, texts: list[str], formats: list[str], begin: datetime) -> Iterator[tuple[int, list[str]]]:
+def _rows(part: Any, texts: list[str], formats: list[str], begin: datetime) -> Iterator[tuple[int, list[str]]]:
     number = num_cells = 0
     for _, element in ElementTree.iterparse(part):
         if not element.tag.endswith("}row"):
