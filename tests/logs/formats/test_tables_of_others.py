@@ -195,3 +195,15 @@ def test_times_in_thousands_name_the_remedy(read_table):
     with refused(r"line 2, column 'ms': '1\.000,5' is not a number with decimal mark '\.'; set table\.thousands ="):
         read_table(text, PLAIN)
     assert read_table(text, PLAIN + 'table.thousands = "."').end_s.tolist() == [1.0005, 2.50025]
+
+
+def test_durations_may_be_hours_minutes_and_seconds(read_table):
+    """A stopwatch writes the first three; pandas the fourth."""
+    lasted = ["0:00:01,5", "00:01:30", "26:10:00.25", "2 days 00:00:01.500000"]
+    rows = [f"r{k};x;{text};1;\n" for k, text in enumerate(lasted)]
+    mapping = PLAIN.replace(', unit = "ms"', "")
+    logs = read_table("run;tool;ms;worth;stop\n" + "".join(rows), mapping)
+    assert logs.end_s.tolist() == [1.5, 90.0, 94200.25, 172801.5]
+    for text in ("1:30", "0:61:00", "-0:00:01", "12"):
+        with refused(rf"line 2, column 'ms': '{text}' counts since a beginning; set clock\.unit"):
+            read_table(f"run;tool;ms;worth;stop\na;x;{text};1;\n", mapping)

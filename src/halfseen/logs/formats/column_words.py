@@ -2,8 +2,8 @@
 
 import re
 
-from halfseen.logs.formats.table_values import BEGIN_LIKE
-
+BEGIN_LIKE = re.compile(r"beg[ia]n|start|anfang|début|inicio|inizio|^(von|from)$", re.IGNORECASE)
+"""Pattern of column names of begin times, in German, English, French, Spanish or Italian."""
 LIKE = {
     "clock.field": r"zeit|time|stamp|date|datum|uhr|elapsed|clock|ende?_|end$|dauer|^t$|(^|_)(ms|us|ns|s|min)$"
     r"|(^|_)days?$|heure|horodat|fecha|hora|^ora$|^data",

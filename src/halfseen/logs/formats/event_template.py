@@ -12,7 +12,15 @@ import pandas as pd
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
-from halfseen.logs.formats.column_words import END_TIME_LIKE, EVENTS_LIKE, FINISHED_LIKE, FLAGS_LIKE, KNOWN_LATER, LIKE
+from halfseen.logs.formats.column_words import (
+    BEGIN_LIKE,
+    END_TIME_LIKE,
+    EVENTS_LIKE,
+    FINISHED_LIKE,
+    FLAGS_LIKE,
+    KNOWN_LATER,
+    LIKE,
+)
 from halfseen.logs.formats.ending_flags import are_flags
 from halfseen.logs.formats.event_doubts import MISSING_TEXTS
 from halfseen.logs.formats.layout_lines import layout_lines, quoted
@@ -29,7 +37,6 @@ from halfseen.logs.formats.table_cells import (
 )
 from halfseen.logs.formats.table_mapping import TextLayout
 from halfseen.logs.formats.table_values import (
-    BEGIN_LIKE,
     ISO,
     TIME_OF_DAY,
     dates_and_times,
