@@ -72,6 +72,25 @@ reward = {topic = ["OK", "NOK"], values = {OK = 1, NOK = -0.5}}
 ending = {topic = "END", field = "v", finished = ["done"]}
 covariates.clutter = {topic = "LOOK", field = "v"}
 """
+PATIENTS = """\
+"id","age","dose.1","sofa.1","day.1","dose.2","sofa.2","day.2","y","reason"
+"p1",50,"low",3,7,"high",5,14,1.5,NA
+"p2",61,"high",4,7,NA,NA,NA,2,NA
+"p3",47,"low",4,7,"low",6,10,NA,"moved"
+"p4",47,"low",NA,3,NA,NA,NA,NA,"withdrew"
+"""
+"""A trial as R's `reshape` and `write.csv` leave it; p2 responded after the first stage, p3 and p4 were lost."""
+TRIAL = """
+wide = "{name}.{stage}"
+table.missing = ["NA"]
+clock = {field = "day", unit = "d", since = "trajectory"}
+trajectory = {field = "id"}
+action = {field = "dose"}
+reward = {field = "y"}
+ending = {field = "reason", finished = [""]}
+covariates.age = {field = "age"}
+covariates.sofa = {field = "sofa"}
+"""
 
 
 def write_events(folder: Path) -> pa.Table:

@@ -5,6 +5,7 @@ The log is made by a loop over rows, which shares nothing with the readers.
 
 import csv
 import json
+import shutil
 import warnings
 
 import h5py
@@ -106,6 +107,31 @@ def write_lerobot(
     pq.write_table(noted, folder / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
     if tasks is not None:
         pd.DataFrame({"task_index": range(len(tasks))}, index=tasks).to_parquet(folder / "meta" / "tasks.parquet")
+    return folder
+
+
+def as_version_2(folder):
+    """Rewrite a dataset of version 3 as one of version 2.1: a file an episode, and JSON lines."""
+    info = json.loads((folder / "meta" / "info.json").read_text())
+    (folder / "meta" / "info.json").write_text(json.dumps(info | {"codebase_version": "v2.1"}))
+    rows = pd.concat([pd.read_parquet(file) for file in sorted(folder.glob("data/*/*.parquet"))], ignore_index=True)
+    shutil.rmtree(folder / "data")
+    for number, episode in rows.groupby("episode_index"):
+        file = folder / "data" / f"chunk-{number // 2:03d}" / f"episode_{number:06d}.parquet"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        episode.to_parquet(file, index=False)
+    noted = pd.read_parquet(folder / "meta" / "episodes" / "chunk-000" / "file-000.parquet")[
+        ["episode_index", "length"]
+    ]
+    noted.assign(tasks=[["pick"]] * len(noted)).to_json(
+        folder / "meta" / "episodes.jsonl", orient="records", lines=True
+    )
+    shutil.rmtree(folder / "meta" / "episodes")
+    if (folder / "meta" / "tasks.parquet").exists():
+        tasks = pd.read_parquet(folder / "meta" / "tasks.parquet")
+        told = pd.DataFrame({"task_index": tasks["task_index"], "task": tasks.index})
+        told.to_json(folder / "meta" / "tasks.jsonl", orient="records", lines=True)
+        (folder / "meta" / "tasks.parquet").unlink()
     return folder
 
 

@@ -1,7 +1,8 @@
 """Names that differ only in spelling.
 
-Spelling is capitals, separators, and how Unicode composes a letter. Signs, spaces between digits and decimal points are
-significant: ``-x`` is not ``+x``, ``2.5`` is not ``25``, and ``slot 1 2`` is not ``slot 12``.
+Spelling is capitals, separators, characters without width, and how Unicode composes a letter. Signs, spaces between
+digits and decimal points are significant: ``-x`` is not ``+x``, ``2.5`` is not ``25``, and ``slot 1 2`` is not ``slot
+12``.
 """
 
 import re
@@ -9,6 +10,7 @@ from collections.abc import Iterable
 from unicodedata import normalize
 
 DASHES = re.compile("[\u2010-\u2015\u2212\ufe63\uff0d]")
+_WITHOUT_WIDTH = re.compile("[\u00ad\u200b-\u200f\u2060\ufeff]")
 _SEPARATORS = re.compile(
     r"""
       (?<=[^\W\d_])-(?=[^\W\d_])      # e-stop
@@ -22,7 +24,7 @@ _SEPARATORS = re.compile(
 
 def folded(name: str) -> str:
     """Remove from a name what is only spelling."""
-    text = DASHES.sub("-", composed(composed(name).casefold()))
+    text = DASHES.sub("-", composed(composed(_WITHOUT_WIDTH.sub("", name)).casefold()))
     return re.sub(r"[\s_]+", " ", _SEPARATORS.sub("", text)) or text
 
 

@@ -1,3 +1,4 @@
+import gzip
 import json
 import os
 import sqlite3
@@ -238,6 +239,12 @@ def test_rows_of_a_database_are_events_too(place):
     run("sql:sqlite:///cell.db", "--mapping", "cell.toml", "--out", "out")
     run("events.csv", "--mapping", "events.toml", "--out", "all")
     assert same(read_logs("out"), read_logs("all").select([7, 8]))
+    Path("order.toml").write_text(
+        'clock = {field = "Wert", unit = "s", since = "stage"}\naction = {field = "Text"}\nreward = {field = "Wert"}\n'
+        'ending = {finished = "rewarded"}\ntable.query = "SELECT * FROM seen"\n'
+    )
+    told = "table.query: since = 'stage' takes the order of rows, which a database does not keep; add ORDER BY"
+    assert told in refusal("sql:sqlite:///cell.db", "--mapping", "order.toml", "--out", "x")
     assert "table.query: it is missing" in refusal("sql:sqlite:///cell.db", "--mapping", "events.toml", "--out", "x")
     assert "put the SELECT into it as table.query" in refusal("sql:sqlite:///cell.db", "--mapping-template")
     for words in (("--out", "x"), ("--out", "x", "--mapping", "cell.toml"), ("--mapping-template",)):
@@ -251,6 +258,7 @@ def test_a_mapping_is_made_from_a_table_printed_or_written(place, typed):
     assert run("plc.csv", "--mapping-template", "--out", "cell.toml").exit_code == 0
     assert Path("cell.toml").read_text() == printed.out
     assert "cell.toml: it already exists" in refusal("plc.csv", "--mapping-template", "--out", "cell.toml")
+    assert "--out is csv:x, but a mapping is one file" in refusal("plc.csv", "--mapping-template", "--out", "csv:x")
     assert run("--mapping-template").output.startswith("# Which topic of a bag carries what")
     for words, message in (((), "Missing argument 'SOURCE...'"), (("plc.csv",), "Missing option '--out'")):
         assert message in typed("convert", *words).err
@@ -282,11 +290,16 @@ def test_who_has_a_table_and_no_mapping_hears_of_the_command_that_makes_one(plac
             status, out, err = typed(*words)
             assert (status, out, err.count("\n")) == (2, "", 1)
             assert f"halfseen convert {quoted} --mapping-template --out cell.toml" in err
-    (place / "book.xlsx").write_bytes(b"PK")
-    assert "book.xlsx: workbooks are not read; save the sheet as CSV" in refusal("book.xlsx", "--out", "logs")
-    assert "`halfseen convert --help` lists the files that are read" in typed("inspect", "book.xlsx").err
-    (place / "events.csv.GZ").write_bytes(b"\x1f\x8b")
-    assert "unpack it, and read its contents" in refusal("events.csv.GZ", "--out", "logs")
+    (place / "book.xls").write_bytes(b"PK")
+    assert "book.xls: such workbooks are not read; save it as .xlsx" in refusal("book.xls", "--out", "logs")
+    assert "`halfseen convert --help` lists the files that are read" in typed("inspect", "book.xls").err
+    assert "halfseen convert book.xlsx --mapping-template" in (
+        (place / "book.xls").rename(place / "book.xlsx") and typed("inspect", "book.xlsx").err
+    )
+    (place / "events.zip").write_bytes(b"PK")
+    assert "unpack it, and read its contents" in refusal("events.zip", "--out", "logs")
+    (place / "events.csv.GZ").write_bytes(gzip.compress(GERMAN.encode("cp1252")))
+    assert "halfseen convert events.csv.GZ --mapping-template" in refusal("events.csv.GZ", "--out", "logs")
     (place / "MORE.CSV").write_text(GERMAN, encoding="cp1252")
     assert "halfseen convert MORE.CSV --mapping-template --out cell.toml" in typed("inspect", "MORE.CSV").err
     broken = GERMAN.replace("1,25", "viel")

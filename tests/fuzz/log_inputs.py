@@ -149,6 +149,26 @@ def events(folder: Path) -> None:
 
 @seed(
     LOGS,
+    "convert in/trial.csv --mapping in/trial.toml --out out --json",
+    "convert in/trial.csv --mapping-template --out out",
+    "convert in/stages.jsonl --mapping in/stages.toml --out csv:out",
+    "convert in/trial.xlsx --mapping in/trial.toml --out out",
+)
+def trial(folder: Path) -> None:
+    from event_files import PATIENTS, STAGES, TRIAL, WIDE
+
+    (folder / "trial.csv").write_text(PATIENTS.replace("NA", "").replace("reason", "lost"))
+    shutil.copy(Path(__file__).parents[1] / "logs" / "formats" / "trial.xlsx", folder)
+    told = TRIAL.replace('covariates.age = {field = "age"}\n', "").replace('"reason"', '"lost"')
+    (folder / "trial.toml").write_text(told, encoding="utf-8")
+    heading, *rows = (line.split(",") for line in WIDE.splitlines())
+    lines = (json.dumps(dict(zip(heading, row, strict=True))) for row in rows)
+    (folder / "stages.jsonl").write_text("".join(f"{line}\n" for line in lines))
+    (folder / "stages.toml").write_text(STAGES, encoding="utf-8")
+
+
+@seed(
+    LOGS,
     f"convert in/steps.hdf5 {ONE}",
     "convert in/steps.hdf5 --out out --check --truncated finished",
     name="steps-hdf5",

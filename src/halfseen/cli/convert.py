@@ -31,9 +31,9 @@ HELP = """Read the logs of SOURCE and write them to another form, all or nothing
 FOLDER              logs, as Parquet or CSV; those of an older halfseen are brought up to date
 BAG                 ROS 1 or 2, or MCAP with ROS 2, JSON or protobuf (or a folder of bags)
 minari:NAME-v0      a Minari dataset, also by its folder
-FOLDER of LeRobot   a dataset of its version 3
+FOLDER of LeRobot   a dataset of its version 2 or 3
 TABLE               steps as of RLDS: .parquet, .csv or .arrow (or a folder of them)
-TABLE of your own   events or stages, by --mapping: .csv, .tsv, .txt, .parquet (or a folder)
+TABLE of your own   by --mapping: .csv, .tsv, .txt, .jsonl (or .gz), .xlsx, .parquet (or a folder)
 FILE.hdf5           steps as of D4RL
 sql:URL             rows of a database, as SQLAlchemy reaches it
 
@@ -125,6 +125,8 @@ def _give_template(sources: tuple[str, ...], target: str | None) -> None:
             "--mapping-template is made from a file, not from a database; save the rows of a SELECT as CSV, make the "
             "mapping from that file, and put the SELECT into it as table.query; or give --stages and --trajectories"
         )
+    if target is not None and target.startswith((CSV, MINARI)):
+        raise ArgumentError(f"--out is {target}, but a mapping is one file; give its name, such as cell.toml")
     table = next((one for one in sources if kind_of(one, is_mapped=True) == "events"), None)
     text = MAPPING_TEMPLATE if table is None else mapping_of(tables_of_events(Path(table))[0])
     give_mapping(text, None if target is None else Path(target))

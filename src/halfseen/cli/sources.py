@@ -99,15 +99,18 @@ def tables_of_events(path: Path) -> list[Path]:
     """A table, or the tables of a folder without logs and bags."""
     if path.is_file():
         return [path]
+    from halfseen.logs.folder import FOREIGN_TABLES
+
     if _bags(path) or (path / "logs.json").exists():
         return []
-    return _shown_files(path, (".csv", ".tsv", ".parquet")) or _shown_files(path, (".txt",))
+    tables = _shown_files(path, tuple(end for end in FOREIGN_TABLES if ".txt" not in end))
+    return tables or _shown_files(path, (".txt", ".txt.gz"))
 
 
 def _shown_files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     """Files of a folder by the end of their names, in order; hidden files are passed over."""
     return sorted(
-        file for file in folder.iterdir() if file.suffix.lower() in suffixes and not file.name.startswith(".")
+        file for file in folder.iterdir() if file.name.lower().endswith(suffixes) and not file.name.startswith(".")
     )
 
 
@@ -180,8 +183,8 @@ def read(kind: str, source: str, how: Reading, missing: str | None = None) -> "L
 def _read_sql(url: str, how: Reading, missing: str | None) -> "Logs":
     """Read a database by queries from options or from a file."""
     from halfseen.logs.formats import Queries, read_event_mapping, read_event_table, read_queries, read_sql
-    from halfseen.logs.formats.mapping import is_event_mapping
     from halfseen.logs.formats.sql_rows import read_rows, shown_url
+    from halfseen.logs.formats.table_mapping import is_event_mapping
 
     if how.mapping is not None:
         if (how.stages, how.trajectories, how.objects) != (None, None, None):
@@ -189,7 +192,11 @@ def _read_sql(url: str, how: Reading, missing: str | None) -> "Logs":
                 f"--mapping {how.mapping}: it replaces --stages, --trajectories and --objects; leave these out"
             )
         if is_event_mapping(how.mapping):
-            query = read_event_mapping(how.mapping).table.query
+            mapping = read_event_mapping(how.mapping)
+            query = mapping.table.query
+            if query is not None and mapping.takes_order and "order by" not in " ".join(query.lower().split()):
+                trouble = f"since = {mapping.clock.since!r} takes the order of rows, which a database does not keep"
+                raise ArgumentError(f"{how.mapping}, table.query: {trouble}; add ORDER BY")
             if query is None:
                 raise ArgumentError(f"{how.mapping}, table.query: it is missing; give the SELECT that returns the rows")
             return read_event_table(read_rows(url, query), how.mapping, place=shown_url(url), missing=missing)
@@ -209,7 +216,7 @@ def _read_events(source: str, how: Reading, missing: str | None) -> "Logs":
     refuse_workbook(Path(source))
     if how.mapping is None:
         raise ArgumentError(
-            f"{source}: it is not a table of steps (no column is_last), and a table with other columns needs "
+            f"{source}: it is not a table of steps (.csv, .parquet or .arrow with a column is_last), and others need "
             f"--mapping; make a template: halfseen convert {shlex.quote(source)} --mapping-template --out cell.toml"
         )
     tables = tables_of_events(Path(source)) if Path(source).is_dir() else source

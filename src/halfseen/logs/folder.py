@@ -86,7 +86,8 @@ def asking(place: Place) -> Iterator[None]:
         raise LogError(f"{place}: the store did not answer ({reason}); check the address and your access") from error
 
 
-FOREIGN_TABLES = (".csv", ".tsv", ".txt", ".parquet")
+FOREIGN_TABLES = (".csv", ".tsv", ".txt", ".jsonl", ".ndjson", ".csv.gz", ".tsv.gz", ".txt.gz", ".jsonl.gz")
+FOREIGN_TABLES += (".parquet", ".xlsx", ".xlsm")
 """Files of other programs that `halfseen convert` turns into logs by a mapping."""
 PACKED = (".gz", ".zip", ".zst", ".bz2", ".xz", ".7z", ".tar", ".tgz")
 """Files that hold other files."""
@@ -198,7 +199,7 @@ def _way_to(folder: Place) -> str:
     """Hint at the command that reads a folder which holds no logs."""
     try:
         is_none = isinstance(folder, Path) and not (folder / MANIFEST).exists()
-        has_tables = is_none and any(file.suffix.lower() in FOREIGN_TABLES for file in folder.iterdir())
+        has_tables = is_none and any(file.name.lower().endswith(FOREIGN_TABLES) for file in folder.iterdir())
     except OSError:  # the reader of the manifest tells of it
         has_tables = False
     line = f"halfseen convert {shlex.quote(str(folder))} --mapping-template --out cell.toml"
@@ -208,11 +209,11 @@ def _way_to(folder: Place) -> str:
 def _way_in(file: Path) -> str:
     """Hint at the command that reads a file of another program."""
     kind = file.suffix.lower()
-    if kind in PACKED:
-        return "unpack it, and read its contents"
-    if kind in FOREIGN_TABLES:
+    if file.name.lower().endswith(FOREIGN_TABLES):
         line = f"halfseen convert {shlex.quote(str(file))} --mapping-template --out cell.toml"
         return f"make a mapping of it: {line}"
+    if kind in PACKED:
+        return "unpack it, and read its contents"
     if kind in DATABASES:
         url = shlex.quote(f"sql:{DATABASES[kind]}:///{file}")
         return f"read the database by its SELECTs: halfseen convert {url} --mapping cell.toml --out LOGS"

@@ -200,7 +200,12 @@ def test_a_trajectory_cut_before_anything_was_seen_is_left_out_with_a_warning(ba
     messages = [message for message in two_trajectories() if message[1] != "/episode/begin"]
     bags = [bag(messages, "without"), bag([text(0.0, "/episode/begin", "late")], "late")]
     told = r"no trajectory with a stage was found; check \[trajectory\] in .*cell\.toml"
-    with pytest.warns(HalfseenWarning, match="'late' was cut"), refused(told, LogError):
+    early = "7 actions, rewards and endings come before the first message of /episode/begin"
+    with (
+        pytest.warns(HalfseenWarning, match=early),
+        pytest.warns(HalfseenWarning, match="'late' was cut"),
+        refused(told, LogError),
+    ):
         read_bag(bags, mapping())
 
 

@@ -113,6 +113,13 @@ def test_a_clock_in_nanoseconds_or_microseconds_is_refused(tmp_path, read, per_s
 
 
 @pytest.mark.parametrize("read", [of_rlds, of_minari])
+@pytest.mark.parametrize("per_s", [1e3, 1e6, 1e9])
+def test_a_date_in_a_finer_unit_than_seconds_is_refused(tmp_path, read, per_s):
+    with refused(r"t is 1\.7e\+\d+, which is no date in seconds, but may be one in milliseconds or a finer unit"):
+        read(tmp_path, [[per_s * (1.7e9 + time) for time in (0.0, *EACH)]] * 3)
+
+
+@pytest.mark.parametrize("read", [of_rlds, of_minari])
 def test_a_clock_that_single_precision_rounds_is_refused(tmp_path, read):
     ends = np.float32(1.7e9) + np.array([0.0, 130.0, 260.0, 390.0], dtype=np.float32)
     with refused(r"t holds float32, which rounds its times to multiples of 128 s, and steps last 128 s; write it as"):

@@ -210,7 +210,7 @@ def test_fractions_that_round_whole_numbers_are_warned_of(tmp_path, kind, most, 
 
 @pytest.mark.parametrize("cell", ["NaN", "n/a", "NULL", "-"])
 def test_what_looks_missing_is_told_as_such(read_table, cell):
-    told = rf"column 'seconds left': '{cell}' is not a number.* if it is missing, leave it empty, or set values ="
+    told = rf"column 'seconds left': '{cell}' is not a number.* if it is missing, leave it empty, or set missing = "
     for old in ("9.5", "6.25"):
         with refused(told):
             read_table(WIDE.replace(old, cell, 1), STAGES)
@@ -222,8 +222,8 @@ def test_what_looks_missing_is_told_as_such(read_table, cell):
 
 def test_a_suffix_may_be_in_capitals(read_table):
     assert stages(read_table(WIDE, STAGES, name="WIDE.CSV")) == stages(read_table(WIDE, STAGES))
-    with refused(r"BOOK\.XLSX: workbooks are not read"):
-        read_table("", STAGES, name="BOOK.XLSX")
+    with refused(r"BOOK\.XLS: such workbooks are not read"):
+        read_table("", STAGES, name="BOOK.XLS")
 
 
 ORDERS = """\
@@ -252,11 +252,12 @@ def test_the_mapping_of_events_passes_over_a_column_that_never_changes(read_tabl
 
 def test_stages_side_by_side_are_told_of_in_the_mapping(tmp_path):
     (tmp_path / "t.csv").write_text("Nr;Griff 1;Dauer 1;Griff 2;Dauer 2\n1;Sauger;1,5;Zange;2,5\n2;Zange;2,5;;\n")
-    told = "# 'Griff 1', 'Griff 2' look like stages side by side: write one row a stage first."
+    told = "wide = \"{name} {stage}\"  # guess: 'Griff', 'Dauer' are by stage"
     assert told in mapping_of(tmp_path / "t.csv").splitlines()
-    for text in (WIDE, PLC):
+    joints = "run,joint_1,joint_2,tool_1,tool_2,action,t\na,1,2,x,y,go,1\na,1,2,y,x,go,2\n"
+    for text in (WIDE, PLC, joints):
         (tmp_path / "t.csv").write_text(text)
-        assert "side by side" not in mapping_of(tmp_path / "t.csv")
+        assert "wide = " not in mapping_of(tmp_path / "t.csv")
 
 
 def test_a_controllers_events_begin_trajectories_in_many_files_too(read_files):

@@ -235,8 +235,8 @@ def test_a_mapping_that_does_not_fit_is_refused(read_table, old, new, message):
 
 
 def test_files_of_no_table_are_refused(read_table, tmp_path):
-    with refused(r"book\.xlsx: workbooks are not read; save the sheet as CSV UTF-8"):
-        read_table("", HISTORIAN, name="book.xlsx")
+    with refused(r"book\.ods: such workbooks are not read; save it as \.xlsx, or the sheet as CSV UTF-8"):
+        read_table("", HISTORIAN, name="book.ods")
     for text, message in (
         ("", r"there are no rows|none of the separators"),
         ("a;b\n", r"there are no rows below the heading"),
@@ -260,7 +260,7 @@ def test_the_mapping_that_is_made_from_a_table_reads_it(read_table, tmp_path, en
         "topic = \"Ereignis\"  # guess: such as 'Gewicht' and 'Griff'",
         'separator = ";"  # guess',
         'decimal = ","  # guess: decimal mark, "," or "."',
-        f'encoding = "{encoding}"  # guess: utf-8, utf-8-sig, cp1252 or utf-16',
+        f'encoding = "{encoding}"  # guess: utf-8, cp1252, utf-16, shift_jis, gbk, …',
         "field = \"Lauf\"  # guess: such as '7' and '8'",
         "field = \"Text\"  # guess: such as 'fertig' and 'Not-Halt'",
     ):
@@ -315,7 +315,7 @@ def test_a_covariate_is_numbers_or_text_as_it_begins_or_as_it_is_said(read_table
     with refused(r"line 5, column 'Wert': 'x' is not a number with decimal mark ','"):
         weights(["1", "x", "7", "7"])
     with refused(
-        r"line 2, column 'Wert': 'NULL' is not a number, but most of the column are; .* set values = \{\"NULL\" = nan\}"
+        r"line 2, column 'Wert': 'NULL' is not a number, but most of the column are; .* set missing = \[\"NULL\"\]"
     ):
         weights(["NULL", "1.234,5", "7", "7"])
     with refused(r"line 2, column 'Wert': '0,5 kg' is a number with a unit; export it without, or set type = \"text\""):

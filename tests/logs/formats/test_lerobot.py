@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from foreign import CUT, FINISHED, assert_is, episodes, expected, last_of, times_of, write_lerobot
+from foreign import CUT, FINISHED, as_version_2, assert_is, episodes, expected, last_of, times_of, write_lerobot
 from halfseen.errors import HalfseenWarning
 from halfseen.logs.formats import StepRules, read_lerobot
 from refusals import refused
@@ -69,6 +69,35 @@ def test_pictures_and_what_came_of_a_step_are_passed_over_and_told_and_tasks_are
     assert sorted(logs.stage_covariates) == ["observation.lit", *STATE, "task"]
     assert logs.stages["task"].tolist() == ["place"] * 3 + ["grasp"] + ["place"] * 4
     assert logs.stages["observation.lit"].tolist() == [True, False] * 4
+
+
+def test_version_2_is_the_same_log(tmp_path):
+    found = episodes(lengths=(3, 1, 4))
+    extra = {"next.done": last_of(found, [YES, NO, YES]), "next.truncated": last_of(found, [NO, YES, YES])}
+    extra |= {"task_index": [1, 1, 1, 0, 1, 1, 1, 1]}
+    for folder in (tmp_path / "new", tmp_path / "old"):
+        folder.mkdir()
+        write_lerobot(folder, found, extra=extra, tasks=["grasp", "place"])
+    old = read_lerobot(as_version_2(tmp_path / "old"))
+    assert_is(old, expected(found, [FINISHED, CUT, CUT], times_of(found, 0.1), STATE, has_last=False), 1e-12)
+    new = read_lerobot(tmp_path / "new")
+    assert old.stages.equals(new.stages)
+    assert old.trajectories.equals(new.trajectories)
+    noted, first = tmp_path / "old" / "meta" / "episodes.jsonl", tmp_path / "old" / "data" / "chunk-000"
+    lines = noted.read_text()
+    noted.write_text(lines.replace('"length":3', '"length":"3"'))
+    with refused(r"episodes\.jsonl: it is not a complete table \(Expected `int`, got `str`"):
+        read_lerobot(tmp_path / "old")
+    noted.write_text(lines.splitlines()[0])
+    with refused("episode 1: meta/episodes counts 0 frames, but data has 1"):
+        read_lerobot(tmp_path / "old")
+    noted.write_text(lines)
+    (first / "episode_000001.parquet").unlink()
+    with refused("episode 1: meta/episodes counts 1 frames, but data has 0"):
+        read_lerobot(tmp_path / "old")
+    noted.unlink()
+    with refused(r"episodes\.jsonl: it is missing; copy the whole dataset again"):
+        read_lerobot(tmp_path / "old")
 
 
 def test_other_columns_are_named_and_a_clock_goes_its_own_way(tmp_path):
@@ -170,7 +199,7 @@ WRONG = {
     with_columns: [
         ({"action": [[0.5, 0.1]] * 8}, r"action holds .* discretise it"),
         ({"action": [0.5] * 8}, r"action holds float64 .* finitely many"),
-        ({"next__reward": ["a"] * 8}, r"next\.reward holds object .* not a number"),
+        ({"next__reward": ["a"] * 8}, r"row 0: next\.reward is 'a', not a number"),
         ({"next__reward": [[0.0, 1.0]] * 8}, r"next\.reward holds .* not a number"),
         ({"next__reward": [NAN] * 8}, r"trajectory 0, stage 1: .*its reward is nan"),
         ({"observation__state": [[0.1]] * 7 + [[0.1, 0.2]]}, r"row 7: observation\.state has 2 values"),
@@ -186,7 +215,7 @@ WRONG = {
         ({"lengths": [3, 1, 5]}, r"episode 2: meta/episodes counts 5 frames, but data has 4"),
         ({"lengths": [3, 1, 4, 2]}, r"episode 3: meta/episodes counts 2 frames, but data has 0"),
         ({"info": {"total_frames": 9}}, r"total_frames is 9, but data has 8"),
-        ({"info": {"codebase_version": "v2.1"}}, r"codebase_version is 'v2\.1', but only v3 is read"),
+        ({"info": {"codebase_version": "v1.6"}}, r"codebase_version is 'v1\.6', but only v2 and v3 are read"),
         ({"info": {"fps": 0}}, r"info\.json: it cannot be read .* `\$\.fps`"),
         ({"info": {"features": [1]}}, r"info\.json: it cannot be read .* `\$\.features`"),
         ({"stamps": [0.0, 0.1, 0.9] + [0.0] * 5}, r"frame 2 has the timestamp 0\.9 s, .* it is 0\.2 s"),

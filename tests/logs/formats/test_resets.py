@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bags import SCHEMAS, Said, as_ros, pose, tables_of, write_bag, write_bag_of_ros_1, write_mcap
+from bags import BEGAN_NS, SCHEMAS, Said, as_ros, pose, tables_of, write_bag, write_bag_of_ros_1, write_mcap
+from halfseen.errors import HalfseenWarning
 from halfseen.logs.formats import read_bag
 from halfseen.logs.formats.bag_messages import JITTER_NS, runs_of
 from refusals import refused
@@ -130,3 +131,48 @@ def test_runs_are_those_that_were_made(runs, rng):
     columns = np.array(sent)
     found = runs_of((columns[:, 1] * JITTER_NS).astype(int).tolist(), (columns[:, 0] * JITTER_NS).astype(int).tolist())
     assert found == columns[:, 2].astype(int).tolist()
+
+
+@pytest.mark.parametrize("clock", ["header", "log"])
+def test_times_of_0_beside_dates_are_refused(tmp_path, clock):
+    """A header whose stamp nobody set; a recorder that waited for the clock of a simulation."""
+    times = [(0.0, "/x"), (0.5, "/action"), (2.0, "/reward"), (2.5, "/end")]
+
+    def messages(of_x_s):
+        return [pose(at, topic, 1.0, stamp_s=of_x_s if topic == "/x" else BEGAN_NS / 1e9 + at) for at, topic in times]
+
+    file = mapping(tmp_path, OF_ROS).read_text().replace('"header"', f'"{clock}"')
+    (tmp_path / "cell.toml").write_text(file)
+    right, wrong = write_bag(tmp_path / "right", messages(BEGAN_NS / 1e9)), messages(0.0)
+    assert read_bag(right, tmp_path / "cell.toml").end_s.tolist() == [2.5]
+    if clock == "log":
+        wrong = [(-BEGAN_NS / 1e9 if message[1] == "/x" else message[0], *message[1:]) for message in wrong]
+    others = "'publish' or 'header'" if clock == "log" else "'log' or 'publish'"
+    with refused(rf"a message of /x has the time 0 by clock '{clock}', and others have dates; set clock = {others} in"):
+        read_bag(write_bag(tmp_path / "wrong", wrong), tmp_path / "cell.toml")
+
+
+def test_parts_of_one_recording_that_are_given_as_bags_are_told(tmp_path):
+    """ROS 2 splits long recordings into NAME_0.mcap, NAME_1.mcap and so on."""
+    times = [("/x", 0.0), ("/action", 0.5), ("/reward", 2.0), ("/action", 2.5), ("/reward", 4.0), ("/end", 5.0)]
+    messages = [pose(10.0 + at, topic, 1.0, stamp_s=at) for topic, at in times]
+    parts = [
+        write_mcap(tmp_path / f"rec_{k}.mcap", part, as_ros) for k, part in enumerate((messages[:3], messages[3:]))
+    ]
+    file = mapping(tmp_path, {name: source for name, source in OF_ROS.items() if not name.startswith("covariates")})
+    with pytest.warns(
+        HalfseenWarning, match=r"rec_1\.mcap: its name continues that of rec_0\.mcap, which has no ending"
+    ):
+        logs = read_bag(parts, file)
+    assert logs.trajectories["cause"].tolist() == ["crash", None]
+    whole = read_bag(write_mcap(tmp_path / "rec.mcap", messages, as_ros), file)
+    assert (whole.num_trajectories, whole.end_s.tolist()) == (1, [4.5])
+    (tmp_path / "cell.toml").write_text(file.read_text() + BEGIN)
+    begun = (
+        [pose(9.0, "/begin", 0.0, stamp_s=0.0), *messages[:3]],
+        [*messages[3:], pose(20.0, "/begin", 0.0, stamp_s=9.0)],
+    )
+    parts = [write_mcap(tmp_path / f"begun_{k}.mcap", part, as_ros) for k, part in enumerate(begun)]
+    told = r"begun_1\.mcap: 3 actions, rewards and endings come before the first message of /begin, and are left out"
+    with pytest.warns(HalfseenWarning, match=told), pytest.warns(HalfseenWarning, match="was cut as it began"):
+        read_bag(parts, file)

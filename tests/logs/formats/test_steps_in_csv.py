@@ -39,3 +39,13 @@ def test_a_text_among_numbers_is_no_category(read):
         read("a", "b", "go", "NA")
     with refused(r"trajectory 'b', stage 1: covariate observation\.x is null"):
         read("a", "b", "go", "")
+
+
+def test_a_text_among_rewards_and_other_separators_are_told(tmp_path):
+    file = tmp_path / "steps.csv"
+    file.write_text(STEPS.format("a", "b", "go", "1.5").replace("0.5,,\nb", "0.5,NA,NA\nb"))
+    with refused(r"steps\.csv, row 1: reward is 'NA', not a number; fix it, or name another column as reward"):
+        read_steps(file, StepRules(step_s=1.0))
+    file.write_text(STEPS.format("a", "b", "go", "1.5").replace(",", ";").replace(".5", ",5"))
+    with refused(r"steps\.csv: its cells are separated by ';'; export it with commas between cells and points in"):
+        read_steps(file, StepRules(step_s=1.0))

@@ -1,10 +1,11 @@
 """Logs in other formats: CSV, any table, databases, bags, MCAP, and datasets of Minari, LeRobot, RLDS and D4RL.
 
 Reading order: `as_text` (columns as text, and what a format cannot store) → `csv_folder` → `older` (logs of version 1)
-→ `mapping` (files that map topics or columns) → `sql_rows` → `steps` (steps of other datasets as stages) →
-`step_tables` → `lerobot_folder` → `step_arrays` → `minari` → `bag_files`, `bag_messages`, `bags` → `table_cells`,
-`ending_flags`, `event_doubts`, `event_tables` (any table, by a mapping as for bags), `event_template`. Optional
-libraries load on first use.
+→ `mapping` (files that map topics) → `sql_rows` → `steps` (steps of other datasets as stages) → `step_tables` →
+`lerobot_folder` → `step_arrays` → `minari` → `bag_files`, `bag_messages`, `bags` → `table_mapping`, `workbooks`,
+`table_cells`, `table_values`, `wide_tables`, `ending_flags`, `event_doubts`, `event_tables` (any table, by a mapping as
+for bags) → `column_words`, `wide_guess`, `layout_lines`, `event_template` (a draft of that mapping). Optional libraries
+load on first use.
 """
 
 from halfseen.logs.formats.as_text import Loss, losses
@@ -13,13 +14,14 @@ from halfseen.logs.formats.csv_folder import read_csv, write_csv
 from halfseen.logs.formats.event_tables import read_event_table
 from halfseen.logs.formats.event_template import mapping_of
 from halfseen.logs.formats.lerobot_folder import read_lerobot
-from halfseen.logs.formats.mapping import MAPPING_TEMPLATE, BagMapping, EventMapping, read_event_mapping, read_mapping
+from halfseen.logs.formats.mapping import MAPPING_TEMPLATE, BagMapping, read_mapping
 from halfseen.logs.formats.minari import read_minari, seen_by_halfseen_alone, write_minari
 from halfseen.logs.formats.older import is_older, read_older
 from halfseen.logs.formats.sql_rows import Queries, read_queries, read_sql
 from halfseen.logs.formats.step_arrays import read_step_arrays
 from halfseen.logs.formats.step_tables import read_steps
 from halfseen.logs.formats.steps import StepRules
+from halfseen.logs.formats.table_mapping import EventMapping, read_event_mapping
 
 __all__ = [
     "MAPPING_TEMPLATE",

@@ -27,6 +27,8 @@ _FLOATS = {7: "f4", 8: "f8"}
 
 JITTER_NS = 10**9
 """Largest fall of stamps without a reset, and how long after a reset messages of the run before may come [ns]."""
+EARLIEST_DATE_NS = 10**18
+"""Larger stamps are dates, not counted from where a controller or a simulation started [ns since 1970]."""
 MOST_LATE_NS = 5 * 10**9
 """Largest delay of a late message after which the clock goes on as before [ns]."""
 
@@ -102,12 +104,24 @@ def read_events(bag: Path, mapping: BagMapping) -> list[list[Event]]:
                         message, key, source, f"{mapping.file}, {key}.field: {source.topic} ({channel.kind})"
                     )
                 events.append((recorded.log_ns, Event(stamp_ns, key, value)))
+    _refuse_unset(bag, [event for _, event in events], mapping)
     events.sort(key=lambda entry: entry[0])
     numbers = runs_of([event.stamp_ns for _, event in events], [log_ns for log_ns, _ in events])
     runs: list[list[Event]] = [[] for _ in range(max(numbers, default=-1) + 1)]
     for number, (_, event) in zip(numbers, events, strict=True):
         runs[number].append(event)
     return [sorted(run, key=lambda event: event.stamp_ns) for run in runs]
+
+
+def _refuse_unset(bag: Path, events: Sequence[Event], mapping: BagMapping) -> None:
+    """Refuse stamps of 0 beside dates: they were not set, or came before a simulation's clock (`LogError`)."""
+    unset = next((event for event in events if event.stamp_ns == 0), None)
+    if unset is not None and any(event.stamp_ns >= EARLIEST_DATE_NS for event in events):
+        clocks = " or ".join(repr(clock) for clock in ("log", "publish", "header") if clock != mapping.clock)
+        raise LogError(
+            f"{bag}: a message of {mapping.sources[unset.key].topic} has the time 0 by clock {mapping.clock!r}, and "
+            f"others have dates; set clock = {clocks} in {mapping.file}, or leave such messages out"
+        )
 
 
 def runs_of(stamps_ns: Sequence[int], recorded_ns: Sequence[int]) -> list[int]:

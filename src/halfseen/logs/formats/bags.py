@@ -17,9 +17,10 @@ How messages become stages:
 - A trajectory that was cut before all covariates were received has no stage; it is left out with a warning.
 """
 
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 
@@ -39,6 +40,10 @@ _COVARIATE = "covariates."
 
 See: TypeAlias = Callable[[np.ndarray, tuple[int, int], str], Mapping[str, Any]]
 """Maps points, shape (n, 3) [m], the rows and columns of the image, and a name to columns of `objects`."""
+
+_PART = re.compile(r"(.*_)(\d+)\.\w+")
+"""Name of a part of a recording."""
+_PARTS = "if they are parts of one recording, give their folder with its metadata.yaml, which ros2 bag reindex writes"
 
 Keep: TypeAlias = Callable[[np.ndarray, tuple[int, int], str], str]
 """Maps the same to the stage's value in column ``cloud``: the name of the written file."""
@@ -92,7 +97,9 @@ def read_bag(
     num_begun = 0
     for bag in files:
         of_bag = []
-        for name, events in split(bag, read_events(bag, mapping), begin, mapping.file):
+        runs = read_events(bag, mapping)
+        _warn_of_early(bag, runs, begin)
+        for name, events in split(bag, runs, begin, mapping.file):
             num_begun += 1
             trajectory = Trajectory(num_begun if name is None else name, needed, mapping.ending.finished)
             if begin is not None:
@@ -104,8 +111,31 @@ def read_bag(
         if see is not None or keep is not None:
             objects += _objects(bag, of_bag, mapping, see, keep)
         found += [(trajectory, bag.name) for trajectory in of_bag]
+    if begin is None:
+        _warn_of_parts(found)
     place, trajectories = ", ".join(map(str, files)), [each for each, _ in found]
     return logs_of(place, mapping.file, trajectories, objects, missing, bag=[bag for _, bag in found])
+
+
+def _warn_of_early(bag: Path, runs: list[list[Event]], begin: str | None) -> None:
+    """Warn about deeds before the first beginning, as in the later parts of a recording."""
+    first = runs[0] if runs and begin is not None else []
+    num_early = len(_deeds(list(takewhile(lambda event: event.key != "trajectory", first))))
+    if num_early:
+        warn(
+            bag,
+            f"{num_early} actions, rewards and endings come before the first message of {begin}, and are left out; "
+            f"{_PARTS}",
+        )
+
+
+def _warn_of_parts(found: "Sequence[tuple[Trajectory, str]]") -> None:
+    """Warn about a bag whose name continues that of a bag without an ending."""
+    for (before, name), (_, after) in pairwise(found):
+        one, other = (_PART.fullmatch(each) for each in (name, after))
+        if one and other and one[1] == other[1] and int(other[2]) == int(one[2]) + 1 and before.cause == CRASH:
+            warn(after, f"its name continues that of {name}, which has no ending, but each is a trajectory; {_PARTS}")
+            return
 
 
 def logs_of(
@@ -166,7 +196,7 @@ def _deeds(events: list[Event]) -> list[Event]:
 def is_seen(bag: Path, trajectory: "Trajectory") -> bool:
     """Whether a trajectory has a stage with all its covariates; if not, warn that it is left out."""
     topics = trajectory.missing
-    if not topics and trajectory.end_s != 0:
+    if not topics and (trajectory.end_s != 0 or trajectory.stages[0]["reward"] is not None):
         return True
     trouble = f"before any message of {', '.join(topics)} came" if topics else "as it began"
     warn(bag, f"trajectory {shown(trajectory.name)} was cut {trouble}; it is left out")

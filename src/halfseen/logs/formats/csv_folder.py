@@ -147,10 +147,7 @@ def _read_cells(file: Path) -> pa.Table:
             header = next(csv.reader(lines), [])
             lines.seek(0)
             check_quotes(file, lines, on_rows=warn)
-        if len(header) == 1 and ";" in header[0]:
-            raise LogError(
-                f"{file}: its cells are separated by ';'; export it with commas between cells and points in numbers"
-            )
+        refuse_semicolons(file, header)
         broken = [name for name in header if len(name.splitlines()) > 1]
         if broken:
             raise LogError(f"{file}: the column {broken[0]!r} has a name of two lines; put it on one line")
@@ -172,6 +169,14 @@ def read_cells(source: Any, convert: arrow_csv.ConvertOptions) -> pa.Table:
     # With threads, errors do not name the row.
     lines = arrow_csv.ParseOptions(newlines_in_values=True)
     return arrow_csv.read_csv(source, arrow_csv.ReadOptions(use_threads=False), lines, convert)
+
+
+def refuse_semicolons(file: Path, header: list[str]) -> None:
+    """Refuse a heading whose cells are separated by semicolons (`LogError`)."""
+    if len(header) == 1 and ";" in header[0]:
+        raise LogError(
+            f"{file}: its cells are separated by ';'; export it with commas between cells and points in numbers"
+        )
 
 
 def _column(file: Path, name: str, cells: Any, kind: ColumnType | None) -> Any:

@@ -1,4 +1,4 @@
-"""Truth values as text; endings as flags in the row of the action, such as ``terminated`` of Gymnasium.
+"""Truth values as text; endings by rewards, or as flags in the row of the action, such as ``terminated`` of Gymnasium.
 
 The flags of a row become one text: "finished", the cause of a cut, or empty. If both are true, the trajectory
 finished. A true flag before the last row is refused, like any ending that comes too early.
@@ -10,10 +10,14 @@ from dataclasses import replace
 import msgspec
 
 from halfseen.logs.columns import FINISHED
-from halfseen.logs.formats.mapping import Ending, EventMapping, Flag
 from halfseen.logs.formats.table_cells import Cells, check_column
+from halfseen.logs.formats.table_mapping import Ending, EventMapping, Flag
 
-_TRUE, _FALSE = ("true", "1", "1.0", "yes"), ("false", "0", "0.0", "no", "")
+LOG_ENDED = "log ended"
+"""Cause of the cut of a trajectory without an ending."""
+_TRUE = ("true", "t", "1", "1.0", "yes", "y", "wahr", "ja", "vrai", "oui", "verdadero", "sí", "vero", "sì")
+_FALSE = ("false", "f", "0", "0.0", "no", "n", "falsch", "nein", "faux", "non", "falso", "")
+"""Truth values, also as German, French, Spanish and Italian programs write them."""
 
 
 def are_flags(texts: list[str]) -> bool:
@@ -42,12 +46,22 @@ def with_ending(cells: Cells, mapping: EventMapping, file: str) -> tuple[Cells, 
     ending = mapping.ending
     if isinstance(ending.finished, list):
         return cells, mapping
+    if not isinstance(ending.finished, Flag):
+        rewards = cells.columns.get(mapping.column("reward"), [])
+        return _with_texts(cells, mapping, ["" if text else LOG_ENDED for text in rewards], "ending by reward", "")
     is_finished = _read(cells, ending.finished, f"{file}, ending.finished.field")
     cause = "" if ending.cut is None else ending.cut.field
     is_cut = [False] * len(is_finished) if ending.cut is None else _read(cells, ending.cut, f"{file}, ending.cut.field")
     texts = [FINISHED if done else cause if cut else "" for done, cut in zip(is_finished, is_cut, strict=True)]
     name = f"ending by {' or '.join(filter(None, [ending.finished.field, cause]))}"
-    by_text = Ending(field=name, finished=[FINISHED], values=ending.values)
+    return _with_texts(cells, mapping, texts, name, FINISHED)
+
+
+def _with_texts(
+    cells: Cells, mapping: EventMapping, texts: list[str], name: str, finished: str
+) -> tuple[Cells, EventMapping]:
+    """Add a column of endings, and map it."""
+    by_text = Ending(field=name, finished=[finished], values=mapping.ending.values)
     return replace(cells, columns=cells.columns | {name: texts}), msgspec.structs.replace(mapping, ending=by_text)
 
 

@@ -1,25 +1,30 @@
 """Doubts about tables of events and of stages: refused where the log would be wrong, otherwise warned of."""
 
+import json
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from itertools import pairwise
 from typing import Any, TypeAlias
 
 import numpy as np
 
 from halfseen.errors import warn
 from halfseen.logs.columns import shown
-from halfseen.logs.formats.bag_messages import Event
+from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, Event
 from halfseen.logs.formats.bags import Trajectory
-from halfseen.logs.formats.mapping import Clock, EventMapping
+from halfseen.logs.formats.column_words import BEGIN_LIKE
 from halfseen.logs.formats.table_cells import Cells
-from halfseen.logs.formats.table_values import BEGIN_LIKE, Stamps
+from halfseen.logs.formats.table_mapping import Clock, EventMapping
+from halfseen.logs.formats.table_values import NANOSECONDS, Stamps
 from halfseen.suggestions import folded
 
 _ROUNDED = re.compile(r"-?\d([.,]\d+)?[eE]\+\d+")
 FEWEST_ON_ONE_CLOCK = 5
-"""Number of trajectories with several stages that show that a clock runs on across trajectories."""
+"""Number of trajectories that show that a clock runs on across trajectories."""
+MISSING_TEXTS = ("NA", "N/A", "n/a", "#N/A", "#NV", "NaN", "nan", "NULL", "null", "<NA>", "NaT", "#VALUE!", "#WERT!")
+"""Texts that R, pandas, databases and spreadsheets write for a missing value."""
+NO_CAUSES = ("None", "none", "nil", "-", "--", "---", "?")
+"""Texts that may be names, but no causes of a cut."""
 
 
 Groups: TypeAlias = Mapping[Any, list[int]]
@@ -27,10 +32,31 @@ Groups: TypeAlias = Mapping[Any, list[int]]
 
 
 def refuse_rounded(cells: Cells, rows: Sequence[int], column: str) -> None:
-    """Refuse a name in exponent notation, as spreadsheets round long numbers (`LogError`)."""
-    row = next((row for row in rows if _ROUNDED.fullmatch(cells.columns[column][row])), None)
+    """Refuse names that spreadsheets or types of fractions rounded (`LogError`)."""
+    is_rounded = column in cells.rounded
+    row = next((row for row in rows if is_rounded or _ROUNDED.fullmatch(cells.columns[column][row])), None)
     if row is not None:
         cells.refuse(row, column, "is a rounded number that may stand for several names; export the column as text")
+
+
+def refuse_unset(cells: Cells, stamps: Stamps, clock: Clock) -> None:
+    """Refuse times of the first day of 1970 or before beside dates of this century (`LogError`)."""
+    if len(stamps) and stamps.max() >= EARLIEST_DATE_NS and stamps.min() < NANOSECONDS["d"]:
+        trouble = (
+            "is a date that a clock has before it is set, and others are of this century; fix it, or leave the row out"
+        )
+        cells.refuse(int(np.argmin(stamps)), clock.fields[-1], trouble)
+
+
+def refuse_missing_like(cells: Cells, rows: Sequence[int], column: str, known: Collection[str], key: str) -> None:
+    """Refuse a text that other programs write for a missing value (`LogError`), unless the mapping names it."""
+    like = {*MISSING_TEXTS, *(NO_CAUSES if key == "ending" else ())} - {*known}
+    row = next((row for row in rows if cells.columns[column][row] in like), None)
+    if row is not None:
+        texts = json.dumps([cells.columns[column][row]])
+        named = "values, or in finished" if key == "ending" else "values"
+        trouble = f"may mean that nothing is there: set missing = {texts} in [table], or name it in {named}"
+        cells.refuse(row, column, trouble)
 
 
 def refuse_respelled(cells: Cells, rows: Sequence[int], column: str, known: Collection[str]) -> None:
@@ -76,10 +102,13 @@ def warn_of_rows_apart(cells: Cells, groups: Groups, mapping: EventMapping) -> N
 
 
 def warn_of_reordered(cells: Cells, groups: Groups, stamps: Stamps, mapping: EventMapping) -> None:
-    """Warn about rows above which a later time stands."""
+    """Warn about rows above which a later time stands; refuse them between stages that have numbers (`LogError`)."""
     if mapping.clock.since == "stage" or (mapping.clock.since is not None and mapping.has_begins):
         return
     late = [rows[k + 1] for rows in groups.values() for k in np.flatnonzero(np.diff(stamps[rows]) < 0).tolist()]
+    if late and mapping.wide is not None:
+        trouble = 'is before that of the stage before; fix it, or set since = "stage" if it counts from there'
+        cells.refuse(late[0], mapping.clock.fields[-1], trouble)
     if late:
         rest = f", as in {len(late):,} rows" if len(late) > 1 else ""
         early = f"the time is before that of the row above{rest}"
@@ -109,8 +138,8 @@ def warn_of_late(cells: Cells, mapping: EventMapping, late: Counter[str]) -> Non
 
 def warn_of_running_clock(cells: Cells, clock: Clock, found: list[Trajectory]) -> None:
     """Warn about one clock for all trajectories if times should count from the beginning of each."""
-    spans = sorted((each.end_s, each.stages[0]["elapsed_s"]) for each in found if len(each.stages) > 1)
-    if len(spans) >= FEWEST_ON_ONE_CLOCK and all(end_s < first_s for (end_s, _), (_, first_s) in pairwise(spans)):
+    several = sorted((each for each in found if len(each.stages) > 1), key=lambda each: each.end_s)
+    if any(map(_run_on, (several, found))):
         begin = next(filter(BEGIN_LIKE.search, cells.columns), "COLUMN")
         warn(
             f"{cells.file}, column {clock.fields[-1]!r}",
@@ -118,6 +147,13 @@ def warn_of_running_clock(cells: Cells, clock: Clock, found: list[Trajectory]) -
             f'since = "trajectory" by begin = "{begin}", the column of the time at which a stage began, '
             "with that of its end as field",
         )
+
+
+def _run_on(found: Sequence[Trajectory]) -> bool:
+    """Whether enough trajectories follow one another: the first stage of each ends after the one before it."""
+    first_s = [each.end_s if each.stages[0]["elapsed_s"] is None else each.stages[0]["elapsed_s"] for each in found]
+    follow = all(end_s > before.end_s for before, end_s in zip(found, first_s[1:], strict=False))
+    return len(found) >= FEWEST_ON_ONE_CLOCK and follow
 
 
 def warn_of_early(cells: Cells, events: list[Event]) -> None:

@@ -3,8 +3,9 @@
 A mapping has the same tables as for bags (`halfseen.logs.formats.bags`), and rows become stages as messages do:
 ``field`` is a column, and ``topic`` a row's text in the column of events. Without a column of events each row is a
 stage, and an empty cell carries no value. If trajectories have a column, each of their rows advances their clock,
-mapped or not. A trajectory without an ending was cut: "log ended". A clock of numbers may start again where an event
-begins a trajectory, as that of a controller does when it is restarted.
+mapped or not. A table of one row a trajectory becomes one of stages first. A trajectory without an ending was cut: "log
+ended". A clock of numbers may start again where an event begins a trajectory, as that of a controller does when it is
+restarted.
 """
 
 from collections import Counter
@@ -20,13 +21,15 @@ import pyarrow as pa
 from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.logs.columns import shown
 from halfseen.logs.formats import table_values
-from halfseen.logs.formats.bag_messages import JITTER_NS, Event
+from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, JITTER_NS, Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
-from halfseen.logs.formats.ending_flags import are_flags, truths, with_ending
+from halfseen.logs.formats.ending_flags import LOG_ENDED, are_flags, truths, with_ending
 from halfseen.logs.formats.event_doubts import (
     late_covariates,
+    refuse_missing_like,
     refuse_respelled,
     refuse_rounded,
+    refuse_unset,
     warn_of_early,
     warn_of_late,
     warn_of_reordered,
@@ -34,17 +37,14 @@ from halfseen.logs.formats.event_doubts import (
     warn_of_rows_apart,
     warn_of_running_clock,
 )
-from halfseen.logs.formats.mapping import NUMBERS, Ending, Entry, EventMapping, read_event_mapping
-from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells, refuse_empty
+from halfseen.logs.formats.mapping import NUMBERS
+from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells, refuse_empty, without_missing
+from halfseen.logs.formats.table_mapping import Ending, Entry, EventMapping, read_event_mapping
 from halfseen.logs.formats.table_values import Marks, Stamps
+from halfseen.logs.formats.wide_tables import one_row_a_stage
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.shapes import Int
-
-EARLIEST_DATE_NS = 10**18
-"""Larger numbers are dates, which a restart of a controller does not set back [ns since 1970]."""
-LOG_ENDED = "log ended"
-"""Cause of the cut of a trajectory without an ending."""
 
 
 def read_event_table(
@@ -78,6 +78,7 @@ def read_event_table(
     """
     wanted, file = read_event_mapping(mapping), str(mapping)
     cells = cells_of(place, source) if isinstance(source, pa.Table) else _read_files(source, wanted)
+    cells, wanted = one_row_a_stage(without_missing(refuse_empty(cells), wanted.table.missing), wanted, file)
     cells, wanted = with_ending(refuse_empty(cells), wanted, file)
     _check_columns(cells, wanted, file)
     warn_of_respelled_events(cells, wanted)
@@ -211,6 +212,7 @@ def _times(cells: Cells, mapping: EventMapping, marks: Marks, file: str) -> tupl
         raise ArgumentError(f"{file}, {error}") from error
     if clock.since is not None:
         begins = np.zeros_like(stamps)
+    refuse_unset(cells, stamps, clock)
     if begins is not None and (begins > stamps).any():
         cells.refuse(int(np.argmax(begins > stamps)), clock.fields[-1], "is before its beginning; fix one of them")
     return stamps, begins
@@ -245,7 +247,8 @@ def _rows_that_tell(cells: Cells, mapping: EventMapping, key: str) -> list[int]:
 def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int], marks: Marks) -> list[Any]:
     """Read the cells of one column: numbers, or names, as whole numbers if all are; a covariate may be null."""
     texts, known, is_covariate = cells.columns[column], entry.values, "." in key
-    refuse_respelled(cells, rows, column, [*known, *(entry.finishing if isinstance(entry, Ending) else ())])
+    named = [*known, *(entry.finishing if isinstance(entry, Ending) else ())]
+    refuse_respelled(cells, rows, column, named)
     first = next((known.get(texts[row], texts[row]) for row in rows if texts[row]), "")
     has_text = any(
         isinstance(value, str) and table_values.plain_number(value, marks) is None for value in known.values()
@@ -265,6 +268,7 @@ def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int]
             cells.refuse(row, column, f"is not a valid {key}; give one, or leave the row out")
     if is_covariate and entry.type is None:
         table_values.refuse_most_numbers(cells, [row for row in rows if texts[row] not in known], column)
+    refuse_missing_like(cells, rows, column, named, key)
     if is_covariate and entry.type is None and not known:
         return truths([texts[row] for row in rows]) or [texts[row] or None for row in rows]
     if is_covariate:
@@ -300,7 +304,13 @@ def _groups(
     groups: dict[Any, list[int]] = {}
     for row, name in zip(rows, _read(cells, "trajectory", mapping.trajectory, column, rows, Marks()), strict=True):
         groups.setdefault(name, []).append(row)
-    return groups
+    return _oldest_first(groups, stamps) if mapping.clock.since is None else groups
+
+
+def _oldest_first(groups: dict[Any, list[int]], stamps: Stamps) -> dict[Any, list[int]]:
+    """Turn all groups around if each has its newest row first."""
+    steps = np.concatenate([np.diff(stamps[rows]) for rows in groups.values()])
+    return {name: rows[::-1] for name, rows in groups.items()} if (steps <= 0).all() and (steps < 0).any() else groups
 
 
 def _runs(rows: list[int], stamps: Stamps, values_of: list[list[tuple[str, Any]]]) -> list[list[int]]:

@@ -12,52 +12,41 @@ import pandas as pd
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
-from halfseen.logs.formats.ending_flags import are_flags
-from halfseen.logs.formats.mapping import TextLayout
-from halfseen.logs.formats.table_cells import TYPED_FILES, Cells, heading_of, read_cells, refuse_empty
-from halfseen.logs.formats.table_values import (
+from halfseen.logs.formats.column_words import (
     BEGIN_LIKE,
+    END_TIME_LIKE,
+    EVENTS_LIKE,
+    FINISHED_LIKE,
+    FLAGS_LIKE,
+    KNOWN_LATER,
+    LIKE,
+)
+from halfseen.logs.formats.ending_flags import are_flags
+from halfseen.logs.formats.event_doubts import MISSING_TEXTS
+from halfseen.logs.formats.layout_lines import layout_lines, quoted
+from halfseen.logs.formats.table_cells import (
+    ROW,
+    TEXT_FILES,
+    WORKBOOKS,
+    Cells,
+    heading_of,
+    kind_of_table,
+    read_cells,
+    refuse_empty,
+    without_missing,
+)
+from halfseen.logs.formats.table_mapping import TextLayout
+from halfseen.logs.formats.table_values import (
     ISO,
     TIME_OF_DAY,
     dates_and_times,
     is_numeric,
     joined,
-    marks_of,
     thousands_mark,
 )
+from halfseen.logs.formats.wide_guess import Wide, guessed_wide
+from halfseen.logs.formats.wide_tables import STAGE
 
-_LIKE = {
-    "clock.field": r"zeit|time|stamp|date|datum|uhr|elapsed|clock|ende?_|end$|dauer|^t$|(^|_)(ms|us|ns|s|min)$"
-    r"|heure|horodat|fecha|hora|^ora$|^data",
-    "clock.begin": BEGIN_LIKE.pattern,
-    "trajectory": r"lauf|run|traj|episode|auftrag|order|job|batch|charge|cycle|zyklus|trial|essai|ciclo|lote|lotto",
-    "topic": r"ereignis|event|typ|meldung|message|topic|kind|signal|tag|évén|mensaje|messaggio",
-    "action": r"a[kc]tion|griff|greif|grip|tool|werkzeug|decision|choice|prise|pince|outil|acción|azione|pinza",
-    "object": r"obje[kc]?t|teil|part|item|pièce|pieza|pezzo",
-    "probability": r"prob|wahrsch|propens|^p$",
-    "reward": r"reward|belohn|ertrag|worth|wert|value|score|punkt|profit|gewinn|récomp|valeur|valor",
-    "ending": r"ende?$|ending|ergebnis|outcome|result|abbruch|schluss|stop|cause|grund|ursache|fault|fehler|stör|status"
-    r"|^fine?$|résult|risult|causa|motif|arrêt|terminat|truncat",
-}
-"""Patterns of column names for each key, in order of assignment: German, English, French, Spanish, Italian."""
-_EVENTS_LIKE = {
-    "trajectory": r"^(start|begin|anfang|début|inicio|inizio)|[^a-z](start(ed)?|begin|begun|anfang)$",
-    "ending": r"^end|[^a-z]end(e|ed)?$|^fine?$|stop|finish|fertig|abbruch|not-?halt|arrêt|parada|arresto",
-    "reward": r"reward|ertrag|place|ablage|abgelegt|result|ergebnis|drop|success|^n?ok$|^(n\.?)?i\.?o\.?$"
-    r"|dépo|depó|depos|résult",
-    "action": r"griff|greif|pick|gras?p|grip|a[kc]tion|prise|agarre|presa|acción|azione",
-}
-_FLAGS_LIKE = {
-    "ending.finished": re.compile(r"terminat|is_terminal|(^|_)done$", re.IGNORECASE),
-    "ending.cut": re.compile(r"truncat|time_?out|time_?limit|^is_last$", re.IGNORECASE),
-}
-"""Patterns of columns with ending flags in the row of the action."""
-_END_TIME_LIKE = re.compile(r"(^|[^a-z])(end(e|ed)?|bis|until|fin(e|ished)?|done|stop(ped)?)([^a-z]|$)", re.IGNORECASE)
-"""Pattern of columns with the end time of a stage."""
-_KNOWN_LATER = re.compile(f"{_LIKE['ending']}|{_END_TIME_LIKE.pattern}|^is_(first|last)$", re.IGNORECASE)
-"""Pattern of columns that are no covariates because they are known only after the action."""
-_FINISHED_LIKE = re.compile(r"fertig|finish|done|complet|success|^ok$|^ende?$|termin|réussi", re.IGNORECASE)
-"""Pattern of events and endings that are no cut."""
 _DAYS = ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y", "%d.%m.%y", "%d/%m/%y", "%m/%d/%y")
 _DAYS += ("%d-%b-%Y", "%d-%b-%y")
 _TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M %p")
@@ -81,27 +70,41 @@ def mapping_of(file: str | Path) -> str:
     used = {name for both in parts.values() for name in both}
     columns = {name: whole.columns[name] for name in (*parts, *cells.columns) if name not in used}
     cells = replace(cells, columns=columns)
-    return "\n".join(_template(cells, str(file), _guessed(cells), parts)) + "\n"
+    wide = guessed_wide(cells)
+    cells, found = (cells, _guessed(cells, {})) if wide is None else _guessed_of(wide)
+    return "\n".join(_template(cells, str(file), found, parts, wide)) + "\n"
+
+
+def _guessed_of(wide: Wide) -> tuple[Cells, dict[str, str]]:
+    """The rows of stages of a wide table, and the columns of their keys; only a column by stage is a clock."""
+    by_stage = replace(wide.cells, columns={name: wide.cells.columns[name] for name in wide.staged if name != STAGE})
+    times = {key: name for key, name in _guessed(by_stage, wide.found).items() if key.startswith("clock")}
+    kept = wide.cells.columns.keys() - ({STAGE} if times else set())
+    cells = replace(wide.cells, columns={name: texts for name, texts in wide.cells.columns.items() if name in kept})
+    return cells, _guessed(cells, {"clock.field": STAGE, **wide.found, **times})
 
 
 def _read(file: Path) -> Cells:
-    """Read a table whose heading may be below other lines, and find its thousands separator."""
+    """Read a table whose heading may be below other lines; find its thousands separator and texts of missing values."""
     try:
         cells = refuse_empty(read_cells(file, TextLayout()))
     except LogError:
-        heading = 1 if file.suffix in TYPED_FILES or not file.is_file() else heading_of(file)
+        heading = heading_of(file) if kind_of_table(file) in (*TEXT_FILES, *WORKBOOKS) else 1
         if heading == 1:
             raise
         cells = refuse_empty(read_cells(file, TextLayout(heading=heading)))
-    return replace(cells, layout=msgspec.structs.replace(cells.layout, thousands=thousands_mark(cells)))
+    texts = {text for column in cells.columns.values() for text in column}
+    layout = {"thousands": thousands_mark(cells), "missing": [text for text in MISSING_TEXTS if text in texts]}
+    cells = replace(cells, layout=msgspec.structs.replace(cells.layout, **layout))
+    return without_missing(cells, cells.layout.missing)
 
 
-def _guessed(cells: Cells) -> dict[str, str]:
-    """The column of each key for which one matches."""
-    found = _flags(cells) | _span(cells)
+def _guessed(cells: Cells, given: dict[str, str]) -> dict[str, str]:
+    """The column of each key for which one matches, besides those given."""
+    found = _flags(cells) | _span(cells) | given
     known = {*found} | ({"ending"} if "ending.finished" in found else set())
     known |= {"topic"} if "clock.begin" in found else set()
-    for key, like in _LIKE.items():
+    for key, like in LIKE.items():
         if key in known:
             continue
         for name, texts in cells.columns.items():
@@ -126,7 +129,7 @@ def _guessed(cells: Cells) -> dict[str, str]:
 def _flags(cells: Cells) -> dict[str, str]:
     """The columns of ending flags; none unless there is a flag for finished."""
     flags = [name for name, texts in cells.columns.items() if are_flags(texts)]
-    found = {key: next(filter(like.search, flags), None) for key, like in _FLAGS_LIKE.items()}
+    found = {key: next(filter(like.search, flags), None) for key, like in FLAGS_LIKE.items()}
     return {} if found["ending.finished"] is None else {key: name for key, name in found.items() if name is not None}
 
 
@@ -134,7 +137,7 @@ def _span(cells: Cells) -> dict[str, str]:
     """The columns with begin and end times of stages; none if one of the two is missing."""
     times = [name for name, texts in cells.columns.items() if _are_times(texts) and not are_flags(texts)]
     begin = next(filter(BEGIN_LIKE.search, times), None)
-    end = next((name for name in times if name != begin and _END_TIME_LIKE.search(name)), None)
+    end = next((name for name in times if name != begin and END_TIME_LIKE.search(name)), None)
     return {} if begin is None or end is None else {"clock.begin": begin, "clock.field": end}
 
 
@@ -152,26 +155,23 @@ def _other_times(cells: Cells, found: dict[str, str]) -> dict[str, str]:
     return {} if first is None else {"clock.field": first}
 
 
-def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, list[str]]) -> Iterator[str]:
+def _template(
+    cells: Cells, file: str, found: dict[str, str], parts: dict[str, list[str]], wide: Wide | None
+) -> Iterator[str]:
     """Lines of the mapping."""
     yield f"# What the columns of {file} carry, for: halfseen convert {shlex.quote(file)} --mapping THIS --out LOGS"
     yield "# Each guess is marked: check and fix it, complete what is missing, and leave out what is not recorded."
     yield from (f"# Column {shown(name)} holds {kind}, which is not read." for name, kind in cells.unread.items())
     topics = list(dict.fromkeys(cells.columns[found["topic"]])) if "topic" in found else []
-    if side_by_side := _side_by_side(cells, found):
-        yield f"# {', '.join(map(shown, side_by_side))} look like stages side by side: write one row a stage first."
+    if wide is not None:
+        yield from ("", "# Each row is a trajectory; below, columns by stage are named without their stage.")
+        yield f"wide = {quoted(wide.pattern)}  # guess: {', '.join(map(shown, wide.staged[1:]))} are by stage"
     if topics:
         yield from ("", "# Column of events, one row each; without it each row is a stage.")
         yield f"topic = {_guess(cells, found['topic'])}"
         yield f"# There are {', '.join(map(shown, topics[:20]))}."
-    if cells.layout.separator is not None:
-        yield from ("", "[table]", f"separator = {_quoted(cells.layout.separator)}  # guess")
-        yield f"encoding = {_quoted(str(cells.layout.encoding))}  # guess: utf-8, utf-8-sig, cp1252 or utf-16"
-        yield _decimal_line(cells)
-        if cells.layout.thousands is not None:
-            yield f"thousands = {_quoted(cells.layout.thousands)}  # guess: between groups of three digits"
-        if cells.layout.heading > 1:
-            yield f"heading = {cells.layout.heading}  # guess: the line that names the columns"
+    if layout := list(layout_lines(cells)):
+        yield from ("", "[table]", *layout)
     yield from ("", "[clock]", *_clock_lines(cells, found, bool(topics), parts))
     like = _events_like(topics)
     for key in ("trajectory", "action", "object", "probability", "reward", "ending"):
@@ -185,17 +185,10 @@ def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, l
 
 def _events_like(topics: list[str]) -> dict[str, list[str]]:
     """The events of each key; one of an action's result is no action, and one of its beginning or end no ending."""
-    like = {key: [one for one in topics if re.search(words, one, re.IGNORECASE)] for key, words in _EVENTS_LIKE.items()}
+    like = {key: [one for one in topics if re.search(words, one, re.IGNORECASE)] for key, words in EVENTS_LIKE.items()}
     for key, other in (("action", "reward"), ("trajectory", "action"), ("ending", "action")):
         like[key] = [one for one in like[key] if one not in like[other]] or like[key]
     return like
-
-
-def _decimal_line(cells: Cells) -> str:
-    try:
-        return f'decimal = {_quoted(marks_of(cells, list(cells.columns)).decimal)}  # guess: decimal mark, "," or "."'
-    except LogError:
-        return '# decimal = ","  # the decimal mark, which cannot be guessed: "," or "."'
 
 
 def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: dict[str, list[str]]) -> Iterator[str]:
@@ -215,7 +208,7 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
     if len(formats) > 1:
         yield "# The order of day and month cannot be guessed; choose one:"
     yield from (
-        f"{'# ' if len(formats) > 1 else ''}format = {_quoted(one)}  # guess" for one in formats if one != "ISO8601"
+        f"{'# ' if len(formats) > 1 else ''}format = {quoted(one)}  # guess" for one in formats if one != "ISO8601"
     )
     if all(map(TIME_OF_DAY.fullmatch, cells.columns[name])):
         yield "# They have no date: the next day begins where they fall back past midnight."
@@ -233,7 +226,7 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
 
 def _unit(name: str, texts: Sequence[str]) -> str:
     """The unit of a column's name; or of dates as a spreadsheet counts them since 1900, or others since 1970."""
-    unit = re.search(r"(?<![a-z])(ms|us|ns|min|s|h)\W*$", name)
+    unit = re.search(r"(?<![a-z])(ms|us|ns|min|s|h|d)(?:ays?)?\W*$", name)
     are_days = all(re.fullmatch(r"[2-7]\d{4}[.,]\d+", text) for text in texts)
     lengths = {len(re.split("[.,]", text)[0]) for text in texts}
     return unit[1] if unit else "d" if are_days else {13: "ms", 16: "us", 19: "ns"}.get(min(lengths), "s")
@@ -241,7 +234,7 @@ def _unit(name: str, texts: Sequence[str]) -> str:
 
 def _guessed_time(cells: Cells, name: str, parts: dict[str, list[str]]) -> str:
     """The guessed columns of a time."""
-    return _guess(cells, name).replace(_quoted(name), json.dumps(parts.get(name, name), ensure_ascii=False), 1)
+    return _guess(cells, name).replace(quoted(name), json.dumps(parts.get(name, name), ensure_ascii=False), 1)
 
 
 def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]) -> Iterator[str]:
@@ -250,18 +243,20 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
     column = _filled(cells, found, key, rows) if topic else found.get(key)
     if column is None and not topic:
         yield from (f"# [{key}]", f'# field = "COLUMN"  # no column looks like it; there are {_names(cells)}')
+        if key == "ending" and "topic" not in found:
+            yield '# finished = "rewarded"  # if every trajectory finished whose last stage has a reward'
         return
     yield f"[{key}]"
     if topic:
-        yield f"topic = [{', '.join(map(_quoted, topic))}]  # guess: these events carry it"
+        yield f"topic = [{', '.join(map(quoted, topic))}]  # guess: these events carry it"
     if column is not None:
         yield f"field = {_guess(cells, column, rows)}"
     texts = topic if column is None else list(dict.fromkeys(cells.columns[column][row] for row in rows))
     if key == "ending":
-        ends = [text for text in texts if _FINISHED_LIKE.search(text)] or [text for text in texts if not text]
-        yield f'finished = [{", ".join(map(_quoted, ends))}]  # guess: endings that are not cuts, "" for an empty cell'
+        ends = [text for text in texts if FINISHED_LIKE.search(text)] or [text for text in texts if not text]
+        yield f'finished = [{", ".join(map(quoted, ends))}]  # guess: endings that are not cuts, "" for an empty cell'
     elif key == "action" or (key == "reward" and not all(map(is_numeric, filter(None, texts)))):
-        names = list(map(_quoted, filter(None, texts)))[: 1 if key == "action" else 20]
+        names = list(map(quoted, filter(None, texts)))[: 1 if key == "action" else 20]
         pairs = ", ".join(f"{name} = {name if key == 'action' else '1.0'}" for name in names)
         meaning = "its action, if that has another name" if key == "action" else "what each earns"
         yield f"# values = {{{pairs}}}  # {meaning}"
@@ -270,7 +265,7 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
 def _flag_lines(cells: Cells, found: dict[str, str]) -> Iterator[str]:
     """Lines of an ending given by flags."""
     yield "[ending]"
-    for key in _FLAGS_LIKE:
+    for key in FLAGS_LIKE:
         if key in found:
             name, guess = _guess(cells, found[key]).split("  # ", 1)
             yield f"{key.removeprefix('ending.')} = {{field = {name}}}  # {guess}"
@@ -278,10 +273,10 @@ def _flag_lines(cells: Cells, found: dict[str, str]) -> Iterator[str]:
 
 def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> Iterator[str]:
     """Lines of the remaining columns as covariates."""
-    free = [name for name in cells.columns if name not in found.values()]
+    free = [name for name in cells.columns if name not in (*found.values(), ROW)]
     for name in [] if "topic" in found else free:
         lines = f"[covariates.{_key(name)}]", f"field = {_guess(cells, name)}"
-        if _KNOWN_LATER.search(name):
+        if KNOWN_LATER.search(name):
             yield from ("", "# Its name suggests a value known only after the action; such a value is not a covariate.")
             yield from (f"# {line}" for line in lines)
         else:
@@ -290,20 +285,13 @@ def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> 
         rows = _rows(cells, found, [topic])
         column = _filled(cells, found, "covariates", rows)
         if column is not None:
-            yield from ("", f"[covariates.{_key(topic)}]", f"topic = {_quoted(topic)}  # guess: this event carries it")
+            yield from ("", f"[covariates.{_key(topic)}]", f"topic = {quoted(topic)}  # guess: this event carries it")
             yield f"field = {_guess(cells, column, rows)}"
 
 
 def _rows(cells: Cells, found: dict[str, str], topic: list[str]) -> list[int]:
     """Rows of the given events, or all rows."""
     return [row for row in range(len(cells.rows)) if not topic or cells.columns[found["topic"]][row] in topic]
-
-
-def _side_by_side(cells: Cells, found: dict[str, str]) -> list[str]:
-    """Columns of text whose names differ from that of the action only in a number; none without others."""
-    stem, *others = (re.sub(r"\d+", "#", name) for name in (found.get("action", ""), *cells.columns))
-    alike = [name for name, other in zip(cells.columns, others, strict=True) if other == stem]
-    return [] if len(alike) < 2 or any(map(is_numeric, filter(None, cells.columns[alike[1]]))) else alike
 
 
 def _filled(cells: Cells, found: dict[str, str], key: str, rows: list[int]) -> str | None:
@@ -319,7 +307,7 @@ def _filled(cells: Cells, found: dict[str, str], key: str, rows: list[int]) -> s
 
 def _guess(cells: Cells, name: str, rows: Sequence[int] | None = None) -> str:
     texts = cells.columns[name] if rows is None else [cells.columns[name][row] for row in rows]
-    return f"{_quoted(name)}  # guess: such as {' and '.join(map(shown, list(filter(None, dict.fromkeys(texts)))[:2]))}"
+    return f"{quoted(name)}  # guess: such as {' and '.join(map(shown, list(filter(None, dict.fromkeys(texts)))[:2]))}"
 
 
 def _names(cells: Cells) -> str:
@@ -328,11 +316,7 @@ def _names(cells: Cells) -> str:
 
 def _key(name: str) -> str:
     named = f"{name}_before" if name in STAGE_COLUMNS else name
-    return named if re.fullmatch(r"[A-Za-z0-9_-]+", named) else _quoted(named)
-
-
-def _quoted(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return named if re.fullmatch(r"[A-Za-z0-9_-]+", named) else quoted(named)
 
 
 def _date_formats(texts: Sequence[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""LeRobot datasets (v3): a folder of Parquet files with metadata.
+"""LeRobot datasets (v2 and v3): a folder of Parquet files with metadata.
 
 ::
 
@@ -9,6 +9,9 @@
       data/chunk-*/file-*.parquet             one row per frame
       videos/…                                not read
 
+In v2 each episode has a file, data/chunk-*/episode_*.parquet, and the metadata are meta/episodes.jsonl and
+meta/tasks.jsonl.
+
 A frame is a step. Covariates are the features ``observation…`` and the task; images and videos are skipped, and so are
 outcomes of a step (``next…``) and commands in it.
 
@@ -17,7 +20,7 @@ last frame has ``next.terminated`` or ``next.success``, or ``next.done`` without
 """
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -31,11 +34,13 @@ from halfseen.logs.formats.steps import Ending, StepColumns, StepRules, StepTabl
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.logs.parquet import parquet_file
-from halfseen.reading import json_of, read_text, reason_of
+from halfseen.reading import json_of, read_bytes, read_text, reason_of
 from halfseen.shapes import Bool, Float, Int
 
+Line = TypeVar("Line")
 INFO = Path("meta") / "info.json"
-VERSION = "v3"
+DATA_OF = {"v2": "chunk-*/episode_*.parquet", "v3": "chunk-*/file-*.parquet"}
+"""Versions that are read, and their files of data."""
 SEEN = "observation"
 DONE, TERMINATED, SUCCESS, TRUNCATED = "next.done", "next.terminated", "next.success", "next.truncated"
 FLAGS = (DONE, TERMINATED, SUCCESS, TRUNCATED)
@@ -45,7 +50,7 @@ _BOOKKEEPING = (EPISODE, TASK_INDEX, TIMESTAMP, "frame_index", "index")
 
 
 def read_lerobot(folder: str | Path, rules: StepRules | None = None, *, missing: Missing = None) -> Logs:
-    """Read a LeRobot dataset (v3) from its folder.
+    """Read a LeRobot dataset (v2 or v3) from its folder.
 
     Parameters
     ----------
@@ -74,12 +79,12 @@ def read_lerobot(folder: str | Path, rules: StepRules | None = None, *, missing:
     folder, rules = Path(folder), StepRules() if rules is None else rules
     place, data, info = str(folder), str(folder / "data"), _info(folder / INFO)
     action, reward = rules.action or "action", rules.reward or "next.reward"
-    steps = StepColumns(place, _columns(folder, info.features, {"action": action, "reward": reward, **rules.named}))
+    steps = StepColumns(place, _columns(folder, info, {"action": action, "reward": reward, **rules.named}))
     episode = steps.columns[EPISODE]
     begins = begins_of(data, "frames", episode, "copy the dataset again")
     _check_counts(folder, info, episode, begins)
     seen = {name: values for name, values in steps.columns.items() if name.startswith(SEEN)}
-    tasks = folder / "meta" / "tasks.parquet"
+    tasks = folder / "meta" / ("tasks.jsonl" if info.version == "v2" else "tasks.parquet")
     if TASK_INDEX in steps.columns and tasks.exists():
         seen["task"] = _tasks(tasks, steps.columns[TASK_INDEX])
     table = StepTable(
@@ -104,23 +109,44 @@ class Info(msgspec.Struct):
     features: dict[str, dict[str, Any]]
     total_frames: int | None = None
 
+    @property
+    def version(self) -> str:
+        """The version without its second number."""
+        return self.codebase_version.partition(".")[0]
+
+
+class EpisodeLine(msgspec.Struct):
+    """A line of ``episodes.jsonl``; further keys are ignored."""
+
+    episode_index: int
+    length: int
+
+
+class TaskLine(msgspec.Struct):
+    """A line of ``tasks.jsonl``."""
+
+    task_index: int
+    task: str
+
 
 def _info(file: Path) -> Info:
-    remedy = f"bring the dataset to {VERSION} with LeRobot, or copy the whole dataset again"
+    remedy = "bring the dataset to v3 with LeRobot, or copy the whole dataset again"
     try:
         info = msgspec.convert(json_of(read_text(file)), Info)
     except (OSError, ValueError) as error:
         raise LogError(f"{file}: it cannot be read ({reason_of(error)}); {remedy}") from error
-    if not info.codebase_version.startswith(VERSION):
+    if info.version not in DATA_OF:
+        versions = " and ".join(DATA_OF)
         raise LogError(
-            f"{file}: codebase_version is {shown(info.codebase_version)}, but only {VERSION} is read; {remedy}"
+            f"{file}: codebase_version is {shown(info.codebase_version)}, but only {versions} are read; {remedy}"
         )
     return info
 
 
-def _columns(folder: Path, features: dict[str, Any], named: dict[str, str]) -> dict[str, np.ndarray]:
+def _columns(folder: Path, info: Info, named: dict[str, str]) -> dict[str, np.ndarray]:
     """Read the features used, and report those skipped."""
-    files = _files(folder, "data")
+    features = info.features
+    files = _files(folder / "data", DATA_OF[info.version])
     pictures = [name for name, feature in features.items() if feature.get("dtype") in _PICTURES]
     with whole_table(files[0]):
         there = [str(name) for name in parquet_file(files[0]).schema_arrow.names if name not in pictures]
@@ -149,17 +175,31 @@ def _whole(place: Path, table: pa.Table, name: str) -> list[int]:
     return table[name].to_pylist()
 
 
-def _files(folder: Path, below: str) -> list[Path]:
-    files = sorted((folder / below).glob("chunk-*/file-*.parquet"))
+def _files(folder: Path, names: str) -> list[Path]:
+    files = sorted(folder.glob(names))
     if not files:
-        raise LogError(f"{folder / below}: there is no chunk-*/file-*.parquet; copy the whole dataset again")
+        raise LogError(f"{folder}: there is no {names}; copy the whole dataset again")
     return files
+
+
+def _lines(file: Path, kind: type[Line]) -> list[Line]:
+    """Read a file of JSON lines."""
+    with whole_table(file):
+        return msgspec.json.Decoder(kind).decode_lines(read_bytes(file))
+
+
+def _lengths(folder: Path, info: Info) -> dict[int, int]:
+    """The number of frames of each episode by the metadata."""
+    if info.version == "v2":
+        return {line.episode_index: line.length for line in _lines(folder / "meta" / "episodes.jsonl", EpisodeLine)}
+    episodes = folder / "meta" / "episodes"
+    noted = read_tables(_files(episodes, DATA_OF["v3"]), (EPISODE, "length"))
+    return dict(zip(*(_whole(episodes, noted, name) for name in (EPISODE, "length")), strict=True))
 
 
 def _check_counts(folder: Path, info: Info, episode: np.ndarray, begins: np.ndarray) -> None:
     """Refuse data with missing frames, according to the metadata of each episode."""
-    noted = read_tables(_files(folder, "meta/episodes"), (EPISODE, "length"))
-    lengths = dict(zip(*(_whole(folder / "meta/episodes", noted, name) for name in (EPISODE, "length")), strict=True))
+    lengths = _lengths(folder, info)
     found = dict(zip(episode[begins[:-1]].tolist(), np.diff(begins).tolist(), strict=True))
     for name in sorted({*lengths, *found}, key=str):
         if lengths.get(name) != found.get(name):
@@ -248,14 +288,21 @@ def _check_stamps(steps: StepColumns, fps: float, begins: Int[np.ndarray, " E1"]
 
 
 def _tasks(file: Path, numbers: np.ndarray) -> np.ndarray:
+    if file.suffix == ".jsonl":
+        words_of = {line.task_index: line.task for line in _lines(file, TaskLine)}
+    else:
+        words_of = _words_of_tasks(file)
+    wrong = [number for number in np.unique(numbers).tolist() if number not in words_of]
+    if wrong:
+        raise LogError(f"{file}: a frame has task {shown(wrong[0])}, which is not listed; copy the dataset again")
+    return np.array([words_of[number] for number in numbers.tolist()], dtype=object)
+
+
+def _words_of_tasks(file: Path) -> dict[int, str]:
     table = read_tables([file])
     words = [
         field.name for field in table.schema if pa.types.is_string(field.type) or pa.types.is_large_string(field.type)
     ]
     if TASK_INDEX not in table.column_names or len(words) != 1:
         raise LogError(f"{file}: it has no {TASK_INDEX} and text for each task; copy the dataset again")
-    words_of = dict(zip(_whole(file, table, TASK_INDEX), table[words[0]].to_pylist(), strict=True))
-    wrong = [number for number in np.unique(numbers).tolist() if number not in words_of]
-    if wrong:
-        raise LogError(f"{file}: a frame has task {shown(wrong[0])}, which is not listed; copy the dataset again")
-    return np.array([words_of[number] for number in numbers.tolist()], dtype=object)
+    return dict(zip(_whole(file, table, TASK_INDEX), table[words[0]].to_pylist(), strict=True))

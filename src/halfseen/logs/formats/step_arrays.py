@@ -20,7 +20,7 @@ import numpy as np
 from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.installation import extra
 from halfseen.logs.columns import CUT
-from halfseen.logs.formats.step_clocks import ends_by_steps, even_ends, refuse_rounded
+from halfseen.logs.formats.step_clocks import ends_by_steps, even_ends, refuse_other_unit, refuse_rounded
 from halfseen.logs.formats.steps import Ending, StepColumns, StepRules, StepTable, columns_of, refuse_early, require
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
@@ -271,6 +271,7 @@ def _clock(episode: Any, clock: str, place: str) -> Float[np.ndarray, " T"]:
             f"{num_steps} steps; name another clock"
         )
     refuse_rounded(place, clock, values)
+    refuse_other_unit(place, clock, values)
     return values.astype(np.float64)
 
 

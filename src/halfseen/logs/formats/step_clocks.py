@@ -12,10 +12,12 @@ import numpy as np
 
 from halfseen.errors import LogError, warn
 from halfseen.logs.columns import shown
-from halfseen.shapes import Float, Int
+from halfseen.shapes import Float, Int, Shaped
 
 MOST_FIRST = 3.0
 """Largest ratio of a first step with unknown beginning to the longest other step."""
+LATEST_S = 1e11
+"""Later times are no dates in seconds since 1970, as this is the year 5138 [s]."""
 LONGEST_S = 1e6
 """Longer steps in whole numbers are not in seconds: this is 12 days in seconds, but 1 ms in nanoseconds."""
 
@@ -67,6 +69,16 @@ def ends_by_steps(
         f"{len(runs_on)} times: each {on if is_on else own}; the first steps last up to {first_s.max():g} s",
     )
     return [one - begin_s for one, begin_s in zip(times_s, begins_s, strict=True)]
+
+
+def refuse_other_unit(place: str, clock: str, times_s: Shaped[np.ndarray, " N"]) -> None:
+    """Refuse dates that are not in seconds, given N times [s] (`LogError`)."""
+    latest = float(np.abs(times_s).max(initial=0))
+    if latest > LATEST_S:
+        raise LogError(
+            f"{place}: {clock} is {latest:.4g}, which is no date in seconds, but may be one in milliseconds or a finer "
+            "unit; write it in seconds, or give step_s (--step-s) in its place"
+        )
 
 
 def refuse_rounded(place: str, clock: str, times_s: Float[np.ndarray, " N"]) -> None:

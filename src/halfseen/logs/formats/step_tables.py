@@ -6,6 +6,7 @@ one, they begin where ``is_first`` is true. A row with ``is_last`` comes after t
 have no meaning and are not read. An episode whose last row is not ``is_last`` broke off.
 """
 
+import csv
 import mmap
 import re
 import struct
@@ -20,7 +21,7 @@ import pyarrow.csv as arrow_csv
 from halfseen.errors import LogError, warn
 from halfseen.logs.columns import refuse_repeated, shown
 from halfseen.logs.formats.as_text import from_list_texts
-from halfseen.logs.formats.csv_folder import read_cells, refuse_text_among_numbers
+from halfseen.logs.formats.csv_folder import read_cells, refuse_semicolons, refuse_text_among_numbers
 from halfseen.logs.formats.quotes import check_quotes
 from halfseen.logs.formats.step_clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.steps import StepColumns, StepRules, StepTable, begins_of, refuse_early, require
@@ -236,6 +237,8 @@ def _read(file: Path, columns: list[str] | None, names: Collection[str]) -> pa.T
 
 def _csv(file: Path, names: Collection[str]) -> pa.Table:
     with opened_text(file, TABLE) as lines:
+        refuse_semicolons(file, next(csv.reader(lines), []))
+        lines.seek(0)
         check_quotes(file, lines)
     with opened(file, TABLE) as bytes_in:
         convert = arrow_csv.ConvertOptions(null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False)

@@ -18,7 +18,7 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, LogError, warn, within
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
-from halfseen.logs.formats.step_clocks import refuse_counts, refuse_rounded
+from halfseen.logs.formats.step_clocks import refuse_counts, refuse_other_unit, refuse_rounded
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.shapes import Bool, Float, Int, Shaped
@@ -106,6 +106,9 @@ class StepColumns:
     def numbers(self, name: str, role: str = "clock") -> Float[np.ndarray, " N"]:
         """Rewards, flags or times, one number per step; true counts as 1, other types are refused."""
         values, flat = self.columns[name], self._flat(name)
+        if flat.ndim == 1 and flat.dtype == object and (row := _first_text(flat)) is not None:
+            trouble = f"{name} is {shown(flat[row])}, not {_MEANT[role]}"
+            raise ArgumentError(f"{self.place}, row {row}: {trouble}; fix it, or name another column as {role}")
         if flat.ndim != 1 or flat.dtype.kind not in "biuf":
             raise ArgumentError(
                 f"{self.place}: {name} holds {values.dtype} of shape {values.shape[1:]}, not {_MEANT[role]} for "
@@ -113,6 +116,7 @@ class StepColumns:
             )
         if role == "clock":
             refuse_rounded(self.place, name, flat)
+            refuse_other_unit(self.place, name, flat)
         return flat.astype(np.float64)
 
     def flags(self, name: str) -> Bool[np.ndarray, " N"]:
@@ -288,6 +292,13 @@ def require(place: str, names: Iterable[str], wanted: Mapping[str, str], remedy:
                 f"{place}: there is no {name!r} for the {role} among {', '.join(there[:40]) or 'none'}; "
                 f"{remedy or f'name another as {role}'}"
             )
+
+
+def _first_text(values: np.ndarray) -> int | None:
+    """The first text, of those that are no numbers if there is one; None without any text."""
+    rows = [row for row, value in enumerate(values) if isinstance(value, str)]
+    numbers: Any = pd.to_numeric(pd.Series([values[row] for row in rows], dtype=object), errors="coerce")
+    return rows[int(np.argmax(np.isnan(numbers)))] if rows else None
 
 
 def _numbers_of_words(values: np.ndarray) -> Float[np.ndarray, " N"]:

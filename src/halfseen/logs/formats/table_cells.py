@@ -1,18 +1,20 @@
 """Cells of any table as text, with the line of each row.
 
-In order: bytes → text (encoding) → cells (separator), or typed columns → the same cells.
+In order: bytes → text (encoding) → cells (separator, JSON lines), or a sheet or typed columns → the same cells.
 `halfseen.logs.formats.table_values` interprets the text.
 """
 
 import csv
+import gzip
 import io
+import json
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, BinaryIO, NoReturn
 
 import msgspec
 import numpy as np
@@ -20,15 +22,21 @@ import pyarrow as pa
 
 from halfseen.errors import ArgumentError, LogError, did_you_mean, warn
 from halfseen.logs.columns import refuse_repeated, shown
-from halfseen.logs.formats.mapping import TextLayout
 from halfseen.logs.formats.quotes import check_quotes
 from halfseen.logs.formats.step_tables import LAST, whole_table
+from halfseen.logs.formats.table_mapping import TextLayout
+from halfseen.logs.formats.workbooks import rows_of_sheet
 from halfseen.logs.parquet import parquet_file
-from halfseen.reading import TABLE, opened, reason_of
+from halfseen.reading import TABLE, check_file, check_unpacked, json_of, opened, reason_of, refused
 
-TEXT_FILES, TYPED_FILES, SHEETS = (".csv", ".tsv", ".txt"), (".parquet",), (".xlsx", ".xls", ".ods")
+TEXT_FILES, TYPED_FILES, WORKBOOKS = (".csv", ".tsv", ".txt"), (".parquet",), (".xlsx", ".xlsm")
+OTHER_SHEETS = (".xls", ".xlsb", ".ods")
+JSON_LINES, PACKED = (".jsonl", ".ndjson"), ".gz"
 SEPARATORS = (";", ",", "\t", "|")
+ROW = "row"
+"""Name of a first column that has none."""
 ROWS_LOOKED_AT = 50
+_BYTES_AT_ONCE = 2**24
 _LATIN_IN_UTF_8 = re.compile(rb"\xc3[\x80-\xbf]")
 """A letter with an accent in UTF-8, which in Windows-1252 is Ã and a sign."""
 
@@ -46,6 +54,8 @@ class Cells:
     """Word for a row in messages: line, row if the file has no lines, or file if there are several."""
     unread: Mapping[str, str] = field(default_factory=dict)
     """Types of the columns that have no text form."""
+    rounded: frozenset[str] = frozenset()
+    """Columns of fractions so large that neighbouring whole numbers became one."""
 
     def place(self, row: int, column: str | None = None) -> str:
         """Name a row or a cell."""
@@ -56,16 +66,24 @@ class Cells:
         raise LogError(f"{self.place(row, column)}: {shown(self.columns[column][row])} {trouble}")
 
 
+def kind_of_table(file: Path) -> str:
+    """The ending of a file's name, before that of packed text."""
+    name = file.name.lower()
+    unpacked = Path(name.removesuffix(PACKED)).suffix
+    return unpacked if unpacked in (*TEXT_FILES, *JSON_LINES) else Path(name).suffix
+
+
 def is_event_table(file: Path, is_mapped: bool) -> bool:
     """Whether to read a file by a mapping: it is a table, and a mapping is given or it is not a step table."""
-    kind = file.suffix.lower()
-    if is_mapped or kind not in (".csv", *TYPED_FILES):
-        return kind in (*TEXT_FILES, *TYPED_FILES, *SHEETS)
+    kind = kind_of_table(file)
+    if is_mapped or kind not in (".csv", *TYPED_FILES) or file.suffix.lower() == PACKED:
+        return kind in (*TEXT_FILES, *JSON_LINES, *TYPED_FILES, *WORKBOOKS, *OTHER_SHEETS)
     try:
         if kind in TYPED_FILES:
             return LAST not in parquet_file(file).schema_arrow.names
         with opened(file, TABLE) as held:
-            return LAST.encode() not in held.readline(ROWS_LOOKED_AT * 1000)
+            # Without null bytes UTF-16 looks like ASCII.
+            return LAST.encode() not in held.readline(ROWS_LOOKED_AT * 1000).replace(b"\0", b"")
     except (OSError, pa.ArrowException):
         return False
 
@@ -81,22 +99,68 @@ def read_cells(file: Path, layout: TextLayout) -> Cells:
         It is missing or broken, a row and the heading differ in their number of cells, or the layout is not found.
     """
     refuse_workbook(file)
-    if file.suffix.lower() in TYPED_FILES:
+    kind = kind_of_table(file)
+    if kind in TYPED_FILES:
         with whole_table(file):
             table = parquet_file(file).read()
         return cells_of(str(file), table)
-    if file.suffix.lower() not in TEXT_FILES:
-        raise ArgumentError(f"{file}: a mapping of columns reads {', '.join((*TEXT_FILES, *TYPED_FILES))}; export one")
-    with whole_table(file), opened(file, TABLE) as held:
-        content = held.read()
-    text, encoding = _decoded(file, content, layout.encoding)
+    if kind in WORKBOOKS:
+        with whole_table(file):
+            cells = rows_of_sheet(file, layout.sheet)
+        there = {number: row for number, row in cells.items() if number >= layout.heading}
+        return _headed(file, list(there.values()), list(there), msgspec.structs.replace(layout, decimal="."), "row")
+    if kind not in (*TEXT_FILES, *JSON_LINES):
+        kinds = ", ".join((*TEXT_FILES, *JSON_LINES, *TYPED_FILES, *WORKBOOKS))
+        raise ArgumentError(f"{file}: a mapping of columns reads {kinds}; export one")
+    text, encoding = _text(file, layout.encoding)
+    if kind in JSON_LINES:
+        return _of_json(file, text)
     return _split(file, text, msgspec.structs.replace(layout, encoding=encoding))
 
 
+def _text(file: Path, encoding: str | None) -> tuple[str, str]:
+    """The text of a file, unpacked if need be, and its encoding."""
+    with whole_table(file), opened(file, TABLE) as held:
+        content = _unpacked(held, check_file(file, TABLE)) if file.suffix.lower() == PACKED else held.read()
+    return _decoded(file, content, encoding)
+
+
+def _unpacked(held: BinaryIO, num_bytes: int) -> bytes:
+    content = bytearray()
+    with gzip.GzipFile(fileobj=held) as packed:
+        while part := packed.read(_BYTES_AT_ONCE):
+            content += part
+            check_unpacked(num_bytes, len(content))
+    return bytes(content)
+
+
+def _of_json(file: Path, text: str) -> Cells:
+    """Read one JSON object a line; a name that an object lacks is an empty cell, and lists and objects are not read."""
+    rows: dict[int, dict[str, Any]] = {}
+    for number, line in enumerate(text.split("\n"), start=1):
+        if not line.strip():
+            continue
+        with refused(f"{file}, line {number}", "it is not JSON", "write one JSON object a line"):
+            row = json_of(line)
+        if not isinstance(row, dict):
+            raise LogError(f"{file}, line {number}: it is not a JSON object; write one a line")
+        rows[number] = row
+    names = list(dict.fromkeys(name for row in rows.values() for name in row))
+    unread = {name: "lists or objects" for row in rows.values() for name in row if isinstance(row[name], list | dict)}
+    read = [name for name in names if name not in unread]
+    columns = {name: [_text_of(row.get(name)) for row in rows.values()] for name in read}
+    return _checked(Cells(str(file), columns, list(rows), TextLayout(decimal="."), unread=unread), names)
+
+
+def _text_of(value: Any) -> str:
+    """A JSON value as a cell."""
+    return "" if value is None else value.strip() if isinstance(value, str) else json.dumps(value)
+
+
 def refuse_workbook(file: Path) -> None:
-    """Refuse spreadsheet files (`ArgumentError`)."""
-    if file.suffix.lower() in SHEETS:
-        raise ArgumentError(f"{file}: workbooks are not read; save the sheet as CSV UTF-8, and convert that file")
+    """Refuse spreadsheet files other than those of `WORKBOOKS` (`ArgumentError`)."""
+    if file.suffix.lower() in OTHER_SHEETS:
+        raise ArgumentError(f"{file}: such workbooks are not read; save it as .xlsx, or the sheet as CSV UTF-8")
 
 
 def cells_of(place: str, table: pa.Table) -> Cells:
@@ -109,16 +173,17 @@ def cells_of(place: str, table: pa.Table) -> Cells:
     LogError
         A name is empty or repeated.
     """
-    columns, unread = {}, {}
+    columns, unread, rounded = {}, {}, set()
     for name, column in zip(table.column_names, table.columns, strict=True):
         try:
             columns[name] = _texts_of(column)
         except (pa.ArrowException, ValueError, NotImplementedError):
             unread[name] = str(column.type)
             continue
-        _warn_of_rounded(f"{place}, column {name!r}", column)
-    rows = range(1, table.num_rows + 1)
-    return _checked(Cells(place, columns, rows, TextLayout(decimal="."), "row", unread), table.column_names)
+        if _warn_of_rounded(f"{place}, column {name!r}", column):
+            rounded.add(name)
+    rows, layout = range(1, table.num_rows + 1), TextLayout(decimal=".")
+    return _checked(Cells(place, columns, rows, layout, "row", unread, frozenset(rounded)), table.column_names)
 
 
 def _texts_of(column: Any) -> list[str]:
@@ -129,15 +194,17 @@ def _texts_of(column: Any) -> list[str]:
     return [(cell or "").strip() for cell in values.cast(pa.string()).to_pylist()]
 
 
-def _warn_of_rounded(where: str, column: Any) -> None:
+def _warn_of_rounded(where: str, column: Any) -> bool:
     """Warn about fractions so large that their type rounds them to every other whole number, or coarser."""
     if not (pa.types.is_float32(column.type) or pa.types.is_float64(column.type)):
-        return
+        return False
     sizes = np.abs(column.to_numpy())
     most = np.max(sizes, initial=0.0, where=np.isfinite(sizes))
-    if np.spacing(most) > 1:
-        trouble = f"it holds {sizes.dtype}, which rounds {most:.9g} to multiples of {np.spacing(most):g}"
-        warn(where, f"{trouble}; export it in a wider type, or as whole numbers or text")
+    if np.spacing(most) <= 1:
+        return False
+    trouble = f"it holds {sizes.dtype}, which rounds {most:.9g} to multiples of {np.spacing(most):g}"
+    warn(where, f"{trouble}; export it in a wider type, or as whole numbers or text")
+    return True
 
 
 def _decoded(file: Path, content: bytes, encoding: str | None) -> tuple[str, str]:
@@ -182,15 +249,25 @@ def _split(file: Path, text: str, layout: TextLayout) -> Cells:
             at = number + reader.line_num + 1
     except csv.Error as error:
         raise LogError(f"{file}, line {at}: it is not CSV ({reason_of(error)}); fix the line") from error
+    return _headed(file, kept, rows, msgspec.structs.replace(layout, separator=separator))
+
+
+def _headed(
+    file: Path, kept: Sequence[list[str]], rows: Sequence[int], layout: TextLayout, word: str = "line"
+) -> Cells:
+    """Make a table of rows, of which the first has the names of the columns."""
     names = _trimmed(kept[0], 1) if kept else []
+    if len(names) > 1 and not names[0] and ROW not in names:  # the index of pandas or R
+        names[0] = ROW
     for row, cells in zip(rows[1:], kept[1:], strict=True):
-        if len(_trimmed(cells, len(names))) != len(names):
+        if len(_trimmed(cells, len(names))) > len(names) or (word == "line" and len(cells) < len(names)):
+            between = f" between {layout.separator!r}" if layout.separator else ""
             raise LogError(
-                f"{file}, line {row}: it has {len(cells)} cells between {separator!r}, and the heading has "
-                f"{len(names)}; fix or delete the line, or set table.separator or table.heading"
+                f"{file}, {word} {row}: it has {len(cells)} cells{between}, and the heading has {len(names)}; fix or "
+                "delete it, or set table.separator, table.sheet or table.heading"
             )
-    columns = {name: [cells[k] for cells in kept[1:]] for k, name in enumerate(names)}
-    return _checked(Cells(str(file), columns, rows[1:], msgspec.structs.replace(layout, separator=separator)), names)
+    columns = {name: [cells[k] if k < len(cells) else "" for cells in kept[1:]] for k, name in enumerate(names)}
+    return _checked(Cells(str(file), columns, rows[1:], layout, word), names)
 
 
 def _trimmed(cells: list[str], least: int) -> list[str]:
@@ -206,6 +283,14 @@ def _checked(cells: Cells, names: list[str]) -> Cells:
     if "" in names:
         raise LogError(f"{cells.file}: column {names.index('') + 1} has no name; give it one, or set table.heading")
     return cells
+
+
+def without_missing(cells: Cells, missing: Collection[str]) -> Cells:
+    """Empty the cells whose text means a missing value."""
+    if not missing:
+        return cells
+    columns = {name: ["" if text in missing else text for text in texts] for name, texts in cells.columns.items()}
+    return replace(cells, columns=columns)
 
 
 def refuse_empty(cells: Cells) -> Cells:
@@ -232,8 +317,12 @@ def _separator(file: Path, text: str) -> str:
 
 def heading_of(file: Path) -> int:
     """Line of the probable heading: the first with as many cells as most of the first lines, or one fewer."""
-    with opened(file, TABLE) as held:
-        text, _ = _decoded(file, held.read(), None)
+    if kind_of_table(file) in WORKBOOKS:
+        with whole_table(file):
+            rows = dict(islice(rows_of_sheet(file, None).items(), ROWS_LOOKED_AT))
+        usual = Counter(map(len, rows.values())).most_common(1)[0][0] if rows else 0
+        return next((number for number, row in rows.items() if len(row) >= max(1, usual - 1)), 1)
+    text, _ = _text(file, None)
     lines = text.splitlines()[:ROWS_LOOKED_AT]
     found: dict[int, int] = {}
     for separator in SEPARATORS:

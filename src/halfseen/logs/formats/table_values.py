@@ -13,8 +13,8 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, warn
 from halfseen.logs.columns import shown
-from halfseen.logs.formats.mapping import Clock
 from halfseen.logs.formats.table_cells import Cells
+from halfseen.logs.formats.table_mapping import Clock
 from halfseen.reading import reason_of
 from halfseen.shapes import Int
 
@@ -128,13 +128,15 @@ def number_at(cells: Cells, row: int, column: str, marks: Marks) -> float:
         remedy = f'set table.thousands = "{mark}" in the mapping' if mark else "set values, type or table.decimal"
         remedy = _remedy_if_missing(cell) or remedy
         cells.refuse(row, column, f"is not a number with decimal mark {marks.decimal!r}; fix it, or {remedy}")
+    if re.fullmatch(r"[-+]?\d+", cell) and int(value) != int(cell):
+        cells.refuse(row, column, 'is a whole number that no float holds; if it is a name, set type = "text"')
     return value
 
 
 def _remedy_if_missing(cell: str) -> str:
     """The remedy for a text that looks like a missing value; empty for any other."""
     is_missing = cell.lower() in _MISSING_LIKE
-    return f'if it is missing, leave it empty, or set values = {{"{cell}" = nan}} of a covariate' if is_missing else ""
+    return f'if it is missing, leave it empty, or set missing = ["{cell}"] in [table]' if is_missing else ""
 
 
 def refuse_most_numbers(cells: Cells, rows: Sequence[int], column: str) -> None:
@@ -152,13 +154,12 @@ def refuse_most_numbers(cells: Cells, rows: Sequence[int], column: str) -> None:
 
 NANOSECONDS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9}
 NANOSECONDS |= {"h": 3600 * 10**9, "d": 86400 * 10**9}
-ISO = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?)?( ?(Z|[+-]\d\d:?\d\d))?")
-_ZONED = re.compile(r":.*(Z|[+-]\d\d:?\d\d)$")
+ISO = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?)?( ?(Z|[+-]\d\d(:?\d\d)?))?")
+_LASTED = re.compile(r"(?:(\d{1,4}) days? ?)?(\d{1,4}):([0-5]\d):([0-5]\d)(?:[.,](\d{1,9}))?")
+_ZONED = re.compile(r":.*(Z|[+-]\d\d(?::?\d\d)?)$")
 _HOUR_NS = 3600 * 10**9
 _DAY_ALONE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}")
 TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d{1,9})?)?( ?[AaPp][Mm])?")
-BEGIN_LIKE = re.compile(r"beg[ia]n|start|anfang|début|inicio|inizio|^(von|from)$", re.IGNORECASE)
-"""Pattern of column names of begin times, in German, English, French, Spanish or Italian."""
 _HAS_DAY = re.compile(r"(?<!%)(%%)*%[djcxs]")
 _HAS_YEAR = re.compile(r"(?<!%)(%%)*%[YyGcxs]")
 _HALF_A_YEAR_NS = 183 * 24 * _HOUR_NS
@@ -183,7 +184,7 @@ def stamps_ns(cells: Cells, columns: Sequence[str], clock: Clock, marks: Marks) 
     if clock.unit is not None:
         return _counted(cells, column, NANOSECONDS[clock.unit], marks)
     if clock.since is not None:
-        cells.refuse(0, column, "counts since a beginning; set clock.unit: s, ms, us, ns, min, h or d")
+        return _lasted(cells, column)
     written = pd.Series(texts, dtype=object)
     if clock.format is None:
         _refuse_not_iso(cells, column)
@@ -321,6 +322,17 @@ def _dates(cells: Cells, column: str, written: Any, clock: Clock, is_zoned: bool
     return dates.as_unit("ns").asi8
 
 
+def _lasted(cells: Cells, column: str) -> Stamps:
+    """Read durations such as 1:02:03.5, or 1 days 00:02:03 as pandas writes them."""
+    stamps = np.zeros(len(cells.rows), dtype=np.int64)
+    for row, cell in enumerate(cells.columns[column]):
+        if (match := _LASTED.fullmatch(cell)) is None:
+            cells.refuse(row, column, "counts since a beginning; set clock.unit: s, ms, us, ns, min, h or d")
+        *parts, fraction = match.groups("0")
+        stamps[row] = int(np.dot([86400, 3600, 60, 1], [*map(int, parts)])) * 10**9 + int(fraction.ljust(9, "0"))
+    return stamps
+
+
 def _counted(cells: Cells, column: str, factor: int, marks: Marks) -> Stamps:
     rounded = next((cell for cell in cells.columns[column] if _OF_FEW_DIGITS.fullmatch(cell)), None)
     if rounded is not None:
@@ -328,7 +340,9 @@ def _counted(cells: Cells, column: str, factor: int, marks: Marks) -> Stamps:
     stamps = np.zeros(len(cells.rows), dtype=np.int64)
     for row, cell in enumerate(cells.columns[column]):
         if (number := plain_number(cell, marks)) is None:
-            cells.refuse(row, column, f"is not a number with decimal mark {marks.decimal!r}; every row needs its time")
+            mark = grouped_by(cell)
+            remedy = f'set table.thousands = "{mark}" in the mapping' if mark else "every row needs its time"
+            cells.refuse(row, column, f"is not a number with decimal mark {marks.decimal!r}; {remedy}")
         stamp = round(Decimal(number) * factor)
         if abs(stamp) >= 2**62:
             cells.refuse(row, column, "does not fit in 64 bits of ns; fix it, or clock.unit")
