@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from halfseen.monitoring.comparison import ComparisonCache, CountedTrajectories, Courses, bound, counted
+from halfseen.monitoring.comparison import NOISE, ComparisonCache, CountedTrajectories, Courses, bound, counted
 
 POLICY = "policy"
 PROMOTES, HARMS = 0.025, 0.05
@@ -88,7 +88,7 @@ class Standing:
 
 
 def _signed(number: float) -> str:
-    return f"{number:+.2g}".replace("-", "−")
+    return f"{number:+.2g}".replace("-", "−") if number else "0"
 
 
 def standing(
@@ -126,7 +126,9 @@ def standing(
 
 
 def _finite(number: float) -> float | None:
-    return float(number) if np.isfinite(number) else None
+    if not np.isfinite(number):
+        return None
+    return float(number) if abs(number) > NOISE else 0.0
 
 
 def _verdict(courses: Courses, terms: Terms, low: float, is_harm: bool, worst: float) -> Verdict:
