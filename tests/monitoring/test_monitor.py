@@ -303,7 +303,7 @@ def test_in_a_comparison_the_policys_trajectories_alone_say_what_it_earns(stored
     np.testing.assert_array_equal(found.outcomes.values[::2], alone.outcomes.values)
     assert np.isnan(found.outcomes.values[1::2]).all()
     assert found.earned["value"] == pytest.approx(alone.earned["value"])
-    assert "300 trajectories of the rule do not count in what the policy earns" in found.notes
+    assert "not counted in what it earns: 300 trajectories of the rule" in found.notes
     of_rule = monitored(stored, Logs(rules.stages, rules.trajectories.assign(arm="rule")))
     assert of_rule.earned is None
 

@@ -15,7 +15,7 @@ import numpy as np
 from anyio import move_on_after, to_thread
 from msgspec import UNSET
 
-from halfseen.logs.columns import RULE
+from halfseen.logs.columns import DECIDED_BY, RULE
 from halfseen.monitoring.dealing import POLICY
 from halfseen.policies.decision import Decision
 from halfseen.policies.rule_files import ExplorationTable
@@ -135,8 +135,8 @@ class Answering:
         if self.trajectories is None:
             self.recent.decided(begun.covariates, reply)
             return reply
-        if comparison is not None:
-            begun = replace(begun, columns={**begun.columns, **comparison.columns()})
+        dealt = {} if comparison is None else comparison.columns()
+        begun = replace(begun, columns={**begun.columns, DECIDED_BY: reply.policy, **dealt})
         name = self.trajectories.decided(begun, reply)
         if comparison is not None:
             comparison.dealt().took()
@@ -207,8 +207,8 @@ class Served:
                 to = partial(answering.comparison.of, fresh, is_in_progress=recording.facts.trajectory is not None)
                 self.answering = replace(answering, comparison=await to_thread.run_sync(to))
             watch = answering.recent.watch
-            if watch is not None and recording is not None and fresh.digest != self.service.digest:
-                watch.anew(fresh.digest, recording.facts.trajectory)
+            if watch is not None and fresh.digest != self.service.digest:
+                watch.anew(fresh.digest)
             self.service = fresh
         return fresh
 
