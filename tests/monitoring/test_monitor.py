@@ -287,6 +287,14 @@ def test_rewards_in_another_unit_are_no_swapped_columns(stored):
     assert any(each.startswith("Fix the recording") for each in lines(found))
 
 
+def test_after_a_change_no_bounds_are_given_of_one_mean(stored):
+    broken = monitored(stored, cell(600, 2, (0.9, 0.2), stored.policy))
+    assert broken.findings
+    told = broken.as_dict()["earned"]
+    assert (told["low"], told["high"], told["since"]) == (None, None, broken.earned["since"])
+    assert "an action brings" in " ".join(each.words for each in broken.findings)
+
+
 def test_in_a_comparison_the_policys_trajectories_alone_say_what_it_earns(stored):
     own, rules = cell(300, 1, policy=stored.policy), cell(300, 5)
     of_both = pd.concat(

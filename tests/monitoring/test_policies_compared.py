@@ -175,14 +175,16 @@ def test_outcomes_that_never_varied_tell_nothing():
     for courses in (same, same._replace(reward=np.ones(len(same.reward)))):
         found = standing(courses, Terms(0.2, most_loss=1.0))
         assert (found.verdict, found.share, found.gain, found.worst_loss) == ("going on", 0.2, 0.0, 0.0)
-        assert ": it gains 0 to 0 a trajectory; it is unknown how many more would decide" in str(found)
+        assert ": the policy's gain is 0 to 0 a trajectory; it is unknown how many more would decide it" in str(found)
 
 
 def test_where_no_trajectory_of_an_arm_finished_nothing_is_known():
     courses = drawn(300, np.random.default_rng(5), gain=3.0, cut=1.0)
     found = standing(courses._replace(is_finished=courses.is_finished & courses.is_policy), Terms())
     assert (found.verdict, found.low, found.high) == ("going on", None, None)
-    assert str(found) == f"going on after 300 trajectories, {found.num_policy} by the policy: its gain is not known yet"
+    assert str(found).endswith(
+        f"300 trajectories, {found.num_policy} by the policy: the policy's gain is not known yet"
+    )
 
 
 def test_the_share_grows_as_what_is_likely_to_be_lost_shrinks():
@@ -221,10 +223,10 @@ def test_a_loss_that_is_allowed_is_not_passed():
 
 def test_what_is_said():
     assert str(standing(drawn(2, np.random.default_rng(0)), Terms())) == (
-        "going on after 2 trajectories, 1 by the policy: its gain is not known yet"
+        "the comparison goes on after 2 trajectories, 1 by the policy: the policy's gain is not known yet"
     )
     found = str(standing(drawn(300, np.random.default_rng(0), gain=1.0), Terms()))
-    assert found.startswith("promoted after 300 trajectories, 1")
+    assert found.startswith("the policy is promoted after 300 trajectories, 1")
     assert " a trajectory" in found
 
 

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from halfseen.monitoring.comparison import NOISE, ComparisonCache, CountedTrajectories, Courses, bound, counted
+from halfseen.wording import counted as counted_in_words
 
 POLICY = "policy"
 PROMOTES, HARMS = 0.025, 0.05
@@ -77,14 +78,15 @@ class Standing:
     more: int | None
 
     def __str__(self) -> str:
-        so_far = f"after {self.num} trajectories, {self.num_policy} by the policy"
+        stands = "the comparison goes on" if self.verdict == "going on" else f"the policy is {self.verdict}"
+        so_far = f"{stands} after {counted_in_words(self.num, 'trajectory')}, {self.num_policy:,} by the policy"
         if self.low is None or self.high is None:
-            return f"{self.verdict} {so_far}: its gain is not known yet"
-        known = f"it gains {_signed(self.low)} to {_signed(self.high)} a trajectory"
+            return f"{so_far}: the policy's gain is not known yet"
+        known = f"{so_far}: the policy's gain is {_signed(self.low)} to {_signed(self.high)} a trajectory"
         if self.verdict != "going on":
-            return f"{self.verdict} {so_far}: {known}"
-        more = "it is unknown how many more would decide" if self.more is None else f"about {self.more:,} more decide"
-        return f"going on {so_far}: {known}; {more}"
+            return known
+        more = "how many more" if self.more is None else f"about {self.more:,} more"
+        return f"{known}; {'it is unknown ' if self.more is None else ''}{more} would decide it"
 
 
 def _signed(number: float) -> str:

@@ -196,7 +196,7 @@ def _sentence(decision: DecisionAnswer | None, recording: RecordingProgress | An
 def _who(decision: DecisionAnswer) -> str:
     """Who decided."""
     if decision.arm == "rule":
-        return "by the rule in use, to which this trajectory was assigned"
+        return "by the rule of today, to which this trajectory was assigned"
     if decision.stepped_back is not UNSET:
         return f"by the rule in the policy's place ({decision.stepped_back})"
     return "drawn to explore" if decision.is_explored else "by the policy"
@@ -207,5 +207,5 @@ def page_of(cell: Cell, answering: Answering) -> str:
     watch = answering.recent.watch
     figures = ((watch and watch.found) or {}).get(FIGURES, {})
     content = {"cell": cell, "UNSET": UNSET, "watch": watch, "figures": figures, "script": SCRIPT}
-    words = {"counted": counted, "percent": percent, "significant": significant}
+    words: Any = {"capitalised": capitalised, "counted": counted, "percent": percent, "significant": significant}
     return rendered(*TEMPLATE, content, **words)
