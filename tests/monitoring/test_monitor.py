@@ -12,7 +12,7 @@ from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 from halfseen.monitoring import betting
 from halfseen.monitoring.answer import FEWEST, num_needed, relearning
-from halfseen.monitoring.diagnosis import broken_parts, clock_unit, differs, swapped_or_changed
+from halfseen.monitoring.diagnosis import broken_parts, clock_unit, differs, part_words, swapped_or_changed
 from halfseen.monitoring.monitor import ALPHAS, looks_at_of, monitored
 from halfseen.monitoring.streams import move_streams, part_streams, swap_streams, swapped_states
 from halfseen.policies.folder import read_policy, write_policy
@@ -91,6 +91,9 @@ def test_a_clock_in_milliseconds_is_told_from_a_slow_cell(stored):
     assert any(unit in each for each in found.causes)
     assert found.relearning.startswith("Fix the recording")
     assert clock_unit(np.log(5.0)) == ""
+    assert part_words("duration", "A", np.log(5.0)).startswith("A takes 400% more time than")
+    assert part_words("duration", "A", np.log(500.0)).startswith("A takes 500 times more time than")
+    assert part_words("duration", "A", 1e4).startswith("A takes over 1,000,000 times more time than")
     assert "the other way round): multiply the clock by 60" in clock_unit(-np.log(60.0))
 
 
@@ -285,6 +288,13 @@ def test_rewards_in_another_unit_are_no_swapped_columns(stored):
     assert found.causes[0] == told
     assert not any("swapped" in each for each in (found.sentence, *found.causes))
     assert any(each.startswith("Fix the recording") for each in lines(found))
+
+
+def test_of_covariates_in_another_unit_nothing_else_is_blamed(stored):
+    logs = cell(300, 4, policy=stored.policy)
+    found = monitored(stored, Logs(logs.stages.assign(x=100.0 * logs.stages["x"]), logs.trajectories))
+    (cause,) = found.causes
+    assert cause.startswith("covariate x is 100 times as large as in the training log")
 
 
 def test_after_a_change_no_bounds_are_given_of_one_mean(stored):

@@ -22,6 +22,7 @@ from halfseen.monitoring import betting
 from halfseen.monitoring.answer import MEND_FIRST, Finding, Monitored, num_needed, relearning
 from halfseen.monitoring.diagnosis import (
     CHANGED_TOGETHER,
+    OTHER_UNIT,
     SWAPPED,
     ChangePoint,
     broken_parts,
@@ -199,8 +200,10 @@ def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n
     causes: tuple[str, ...] = ()
     if findings:
         causes = (*unit, *input_words(promise, logs, findings[0].since))
-        broken = broken_parts(promise, looks_at_of(stored.policy), logs, findings[0].since)
-        causes += tuple(each for each in broken if not any(each.startswith(one) for one in causes))
+        # In another unit, the log's models are far outside what they were fitted to.
+        if not any(OTHER_UNIT in each for each in causes):
+            broken = broken_parts(promise, looks_at_of(stored.policy), logs, findings[0].since)
+            causes += tuple(each for each in broken if not any(each.startswith(one) for one in causes))
     since = findings[0].since if findings else 1
     course, earned = (None, None) if outcomes is None else _earned(outcomes, promise["brings"], since)
     is_judged = promise.get("value") and not bets.foreign
