@@ -195,6 +195,8 @@ def serve(
         nullcontext() if record is None else RecordedTrajectories(record, **kinds) as trajectories,
         nullcontext() if record is None or not monitor_every else Watch(*watched) as watch,
     ):
+        if trajectories is not None:
+            trajectories.refuse_other_columns(served.service.stored.policy)
         rng, recent = np.random.default_rng(seed), Recent(watch)
         served.answering = Answering(epsilon, table, rng, trajectories, recent=recent)
         if against is not None and record is not None:

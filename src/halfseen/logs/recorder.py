@@ -174,6 +174,11 @@ class LogRecorder:
         """The trajectory that began last; None before the first."""
         return self._trajectory
 
+    @property
+    def kinds(self) -> dict[str, str]:
+        """Kinds of the covariates so far, such as "number", "truth value" or "text"; empty before the first stage."""
+        return dict(self._journal.known.schema.covariates or {})
+
     def close(self, cause: str | None = UNKNOWN_CAUSE) -> None:
         """Cut the trajectory in progress, if any, and release the folder; without a cause it may be resumed.
 

@@ -109,7 +109,8 @@ def _covariate(categories: Any, seen: Any, may_lack: bool) -> Schema:
         listed = f"{' or '.join(categories)}; for any other the rule decides."
         return {"type": ["string", "null"] if may_lack else "string", "description": listed}
     known = "" if seen is None else f", in the logs {seen[0]:.3g} to {seen[1]:.3g} at the first stage"
-    return {"type": ["number", "null"] if may_lack else "number", "description": f"A number{known}."}
+    kinds = ["number", "boolean", *(["null"] if may_lack else [])]
+    return {"type": kinds, "description": f"A number{known}."}
 
 
 def description_of(api: Schema) -> str:

@@ -136,11 +136,12 @@ class Answering:
             self.recent.decided(begun.covariates, reply)
             return reply
         dealt = {} if comparison is None else comparison.columns()
-        begun = replace(begun, columns={**begun.columns, DECIDED_BY: reply.policy, **dealt})
+        covariates, doubts = self.trajectories.fitted(begun.covariates)
+        begun = replace(begun, covariates=covariates, columns={**begun.columns, DECIDED_BY: reply.policy, **dealt})
         name = self.trajectories.decided(begun, reply)
         if comparison is not None:
             comparison.dealt().took()
-        reply = msgspec.structs.replace(reply, trajectory=name)
+        reply = msgspec.structs.replace(reply, trajectory=name, warnings=[*reply.warnings, *doubts])
         self.recent.decided(begun.covariates, reply)
         return reply
 
@@ -198,11 +199,13 @@ class Served:
         Raises
         ------
         PolicyError
-            The folder cannot be read; the current policy stays.
+            The folder cannot be read, or the log cannot hold its states; the current policy stays.
         """
         fresh = await to_thread.run_sync(self.read)
         async with self.lock:
             answering, recording = self.answering, self.answering.trajectories
+            if recording is not None:
+                recording.refuse_other_columns(fresh.stored.policy)
             if answering.comparison is not None and recording is not None:
                 to = partial(answering.comparison.of, fresh, is_in_progress=recording.facts.trajectory is not None)
                 self.answering = replace(answering, comparison=await to_thread.run_sync(to))

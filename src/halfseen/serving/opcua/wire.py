@@ -182,8 +182,9 @@ class Wire:
         facts, last = self.recording.facts, self.recording.last
         if request != self._last_decision() or facts.waits_for != "reward" or seen.ending or last is None:
             return None
-        # What was missing, as null or NaN, is filled in in the log.
-        given = {name: value for name, value in seen.covariates.items() if value is not None and value == value}
+        # What was missing, as null or NaN, is filled in in the log; what the log never had is left out of it.
+        known = {name: value for name, value in seen.covariates.items() if name in last}
+        given = {name: value for name, value in known.items() if value is not None and value == value}
         is_same = facts.stage == seen.whole("stage") and given.items() <= last.items()
         return facts.action if is_same else None
 
