@@ -40,6 +40,7 @@ def test_a_covariate_that_is_new_to_the_log_is_left_out_and_told(flat, tmp_path)
         ]
         line = refused(client.post("/decide", json={"x1": 0.1, "x2": 1}), 422)
         assert "covariate batch is missing, though it was given before" in line
+        assert client.get("/health").json()["rule"]["decisions"] == 2
     assert read_logs(tmp_path / "logs").stages["batch"].tolist() == [7, 8]
 
 

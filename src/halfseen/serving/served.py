@@ -79,7 +79,6 @@ class Answering:
         if self.comparison is not None:
             made, arm = self._dealt(self.comparison, seen, decided, made)
             back = back if arm == POLICY else None
-        self.tally.add(back)
         verb, _, number = str(made.decision.action).partition(" ")
         acted = {"verb": verb, "object": seen.names[int(number)] if number else None} if seen.names else {}
         return DecisionAnswer(
@@ -234,13 +233,19 @@ class Served:
             service, is_table = self.service, self.service.stored.is_table
             if not is_table:
                 seen = look(service)
-                given = self.answering.answer(service, seen, await self._decided(service, seen))
-                return self.answering.recorded(seen, given)
-            await check()
-            seen = await to_thread.run_sync(look, service)
-            given = self.answering.answer(service, seen, await self._decided(service, seen))
-            await check()
-            return await to_thread.run_sync(self.answering.recorded, seen, given)
+                decided = await self._decided(service, seen)
+                reply = self.answering.recorded(seen, self.answering.answer(service, seen, decided))
+            else:
+                await check()
+                seen = await to_thread.run_sync(look, service)
+                decided = await self._decided(service, seen)
+                given = self.answering.answer(service, seen, decided)
+                await check()
+                reply = await to_thread.run_sync(self.answering.recorded, seen, given)
+            # In a comparison the rule's own trajectories do not step back.
+            back = decided if isinstance(decided, SteppedBack) and reply.stepped_back is not UNSET else None
+            self.answering.tally.add(back)
+            return reply
 
     async def _decided(self, service: InService, seen: AskedState) -> Decision | SteppedBack:
         """Ask the policy; an answer after the time limit is dropped."""
