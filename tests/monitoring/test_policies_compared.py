@@ -14,7 +14,7 @@ from halfseen.monitoring.comparison import (
     counted,
     log_wealth,
 )
-from halfseen.monitoring.dealing import Terms, standing
+from halfseen.monitoring.dealing import Standing, Terms, standing
 
 
 def drawn(num, rng, chance=0.5, gain=0.0, cut=0.0, noise=1.0, num_stages=3):
@@ -225,6 +225,8 @@ def test_what_is_said():
     assert str(standing(drawn(2, np.random.default_rng(0)), Terms())) == (
         "the comparison goes on after 2 trajectories, 1 by the policy: the policy's gain is not known yet"
     )
+    going_on = Standing(60, 10, 0.4, -0.5, 1.8, 3.0, 0.2, "going on", 16494)
+    assert str(going_on).endswith("gain is −0.5 to +1.8 a trajectory; about 16,000 more would decide it")
     found = str(standing(drawn(300, np.random.default_rng(0), gain=1.0), Terms()))
     assert found.startswith("the policy is promoted after 300 trajectories, 1")
     assert " a trajectory" in found

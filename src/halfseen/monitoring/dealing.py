@@ -85,7 +85,7 @@ class Standing:
         known = f"{so_far}: the policy's gain is {_signed(self.low)} to {_signed(self.high)} a trajectory"
         if self.verdict != "going on":
             return known
-        more = "how many more" if self.more is None else f"about {self.more:,} more"
+        more = "how many more" if self.more is None else f"about {float(f'{self.more:.2g}'):,.0f} more"
         return f"{known}; {'it is unknown ' if self.more is None else ''}{more} would decide it"
 
 
