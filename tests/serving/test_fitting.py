@@ -44,6 +44,19 @@ def test_a_covariate_that_is_new_to_the_log_is_left_out_and_told(flat, tmp_path)
     assert read_logs(tmp_path / "logs").stages["batch"].tolist() == [7, 8]
 
 
+def test_columns_of_objects_that_are_new_to_the_log_are_left_out_and_told(tables, objects, tmp_path):
+    more = [{**row, "hue": 3} for row in objects]
+    with client_of(tables, tmp_path / "logs", of_tables=True) as client:
+        decided(client, objects=objects)
+        cut(client)
+        told = decided(client, objects=more, light=1)
+        cut(client)
+    words = "is not in the log so far, and is not recorded"
+    assert told["warnings"][-2:] == [f"'light' {words}", f"of objects, 'hue' {words}"]
+    logs = read_logs(tmp_path / "logs")
+    assert (len(logs.objects), "hue" in logs.objects, "light" in logs.stages) == (2 * len(objects), False, False)
+
+
 @pytest.mark.parametrize(
     ("state", "trouble"),
     [

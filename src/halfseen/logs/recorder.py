@@ -175,9 +175,14 @@ class LogRecorder:
         return self._trajectory
 
     @property
-    def kinds(self) -> dict[str, str]:
-        """Kinds of the covariates so far, such as "number", "truth value" or "text"; empty before the first stage."""
-        return dict(self._journal.known.schema.covariates or {})
+    def kinds(self) -> dict[str, str] | None:
+        """Kinds of the covariates, such as "number", "truth value" or "text"; None before the first stage."""
+        return self._journal.known.schema.covariates
+
+    @property
+    def kinds_of_objects(self) -> dict[str, str] | None:
+        """The same for the columns of objects; empty if stages have no objects."""
+        return self._journal.known.schema.objects
 
     def close(self, cause: str | None = UNKNOWN_CAUSE) -> None:
         """Cut the trajectory in progress, if any, and release the folder; without a cause it may be resumed.

@@ -11,8 +11,8 @@ from halfseen.logs.missing import is_flag
 TEXT, TRUTH = "text", "truth value"
 
 
-def fitted(covariates: Mapping[str, Any], kinds: Mapping[str, str]) -> tuple[dict[str, Any], list[str]]:
-    """Covariates as the log holds them, and a warning for each that is not recorded.
+def fitted(covariates: Mapping[str, Any], kinds: Mapping[str, str] | None) -> tuple[dict[str, Any], list[str]]:
+    """Covariates, or columns of an object, as the log holds them, and a warning for each that is not recorded.
 
     Truth values become 0 and 1 where the log has numbers, and the other way round.
 
@@ -21,9 +21,11 @@ def fitted(covariates: Mapping[str, Any], kinds: Mapping[str, str]) -> tuple[dic
     covariates
         Those of the request.
     kinds
-        As in `LogRecorder.kinds`; empty for a log that begins.
+        As in `LogRecorder.kinds`; None for a log that begins.
     """
-    new = [name for name in covariates if kinds and name not in kinds and not is_flag(name, kinds)]
+    if kinds is None:
+        return dict(covariates), []
+    new = [name for name in covariates if name not in kinds and not is_flag(name, kinds)]
     kept = {name: _as(kinds.get(name), value) for name, value in covariates.items() if name not in new}
     return kept, [f"{shown(name)} is not in the log so far, and is not recorded" for name in new]
 
@@ -34,7 +36,7 @@ def _as(kind: str | None, value: Any) -> Any:
     return int(value) if isinstance(value, bool) and kind not in (None, TRUTH) else value
 
 
-def refuse_other_columns(policy: Any, kinds: Mapping[str, str], folder: Path) -> None:
+def refuse_other_columns(policy: Any, kinds: Mapping[str, str] | None, folder: Path) -> None:
     """Refuse to continue a log in which the states of a policy of named actions cannot be recorded.
 
     Parameters
@@ -42,7 +44,7 @@ def refuse_other_columns(policy: Any, kinds: Mapping[str, str], folder: Path) ->
     policy
         The policy.
     kinds
-        As in `LogRecorder.kinds`.
+        As in `LogRecorder.kinds`; None for a log that begins.
     folder
         Folder of the log.
 
@@ -51,9 +53,11 @@ def refuse_other_columns(policy: Any, kinds: Mapping[str, str], folder: Path) ->
     PolicyError
         The log lacks a covariate of the policy, or has text where the policy takes numbers, or the other way round.
     """
+    if kinds is None:
+        return
     filling = getattr(policy, "filling", None)
     flags = set() if filling is None else set(filling.flags)
-    for name in getattr(policy, "covariates", ()) if kinds else ():
+    for name in getattr(policy, "covariates", ()):
         kind = kinds.get(name)
         wants_text = name in policy.categories
         if (kind is None and name not in flags) or (kind is not None and (kind == TEXT) != wants_text):

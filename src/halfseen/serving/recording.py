@@ -145,9 +145,15 @@ class RecordedTrajectories:
         """Refuse a policy whose states this log cannot hold; errors as in `halfseen.serving.fitting`."""
         refuse_other_columns(policy, self._recorder.kinds, self._folder)
 
-    def fitted(self, covariates: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-        """Covariates as this log holds them, and warnings; as in `halfseen.serving.fitting`."""
-        return fitted(covariates, self._recorder.kinds)
+    def fitted(self, begun: Begun) -> tuple[Begun, list[str]]:
+        """A stage as this log holds it, and warnings; as in `halfseen.serving.fitting`."""
+        covariates, doubts = fitted(begun.covariates, self._recorder.kinds)
+        if begun.objects is None or not self._recorder.kinds_of_objects:
+            return replace(begun, covariates=covariates), doubts
+        kinds = {"object": "name", **self._recorder.kinds_of_objects}
+        rows = [fitted(row, kinds) for row in begun.objects]
+        doubts += dict.fromkeys(f"of objects, {doubt}" for _, of_row in rows for doubt in of_row)
+        return replace(begun, covariates=covariates, objects=[row for row, _ in rows]), doubts
 
     @property
     def so_far(self) -> SoFar | None:

@@ -135,8 +135,8 @@ class Answering:
             self.recent.decided(begun.covariates, reply)
             return reply
         dealt = {} if comparison is None else comparison.columns()
-        covariates, doubts = self.trajectories.fitted(begun.covariates)
-        begun = replace(begun, covariates=covariates, columns={**begun.columns, DECIDED_BY: reply.policy, **dealt})
+        begun, doubts = self.trajectories.fitted(begun)
+        begun = replace(begun, columns={**begun.columns, DECIDED_BY: reply.policy, **dealt})
         name = self.trajectories.decided(begun, reply)
         if comparison is not None:
             comparison.dealt().took()
