@@ -36,7 +36,7 @@ class LogError(HalfseenError):
 
 
 class NothingRecordedError(LogError):
-    """A log that is being recorded holds no stage so far."""
+    """A log that is being recorded holds no stage so far, or none of the policy in question."""
 
 
 class PlanError(HalfseenError):

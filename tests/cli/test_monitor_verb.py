@@ -267,3 +267,19 @@ def test_what_cannot_be_is_refused(folder, tmp_path, options, told):
     with refused(told):
         shell.run("learn", folder / "old", "--out", tmp_path / "policy", *LEARN, *options)
     assert not (tmp_path / "policy").exists()
+
+
+def test_a_log_that_names_another_policy_is_refused_and_followed_until_this_one_decides(folders, tmp_path, monkeypatch):
+    policy, logs, naps = folders / "policy", clinic(1, num=30), []
+    Logs(logs.stages, logs.trajectories.assign(policy_digest="f00")).write(tmp_path / "next")
+    digest = read_policy(policy).digest
+    with refused(rf"none of its 30 trajectories was decided by this policy \({digest}\), but by f00; give the log"):
+        told(policy, "--logs", tmp_path / "next")
+
+    def nap(every_s):
+        naps.append(every_s)
+        if len(naps) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(module.time, "sleep", nap)
+    assert told(policy, "--logs", tmp_path / "next", "--follow").output.count("waiting: ") == 1

@@ -75,6 +75,8 @@ REFUSED = [
     (f"evaluate x --world --episodes {10**12}", f"{10**12} is not in the range"),
     (f"learn x --out y --horizon {10**6}", f"{10**6} is not in the range"),
     ("serve policy --record policy", "--record is policy, the folder of the policy; give another folder for its logs"),
+    ("serve policy --share 0.3", "--share is 0.3, but nothing is compared; give --against RULE"),
+    ("serve policy --record logs --most-loss 5", "--most-loss is 5, but nothing is compared"),
     ("serve policy --share nan", "'--share': nan is not a number"),
     ("serve policy --explore nan", "'--explore': nan is not a number"),
     ("act policy far.json", "x1 is 800, outside the logs (…--extrapolate"),

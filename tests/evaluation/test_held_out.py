@@ -270,6 +270,7 @@ def test_so_many_trajectories_decide_as_the_formula_says():
     assert found.high == pytest.approx(((0.1 + z * 0.2) / 0.3) ** 2)
     assert needed(NOISE, -0.5, 0.95, 0.1).times == pytest.approx(max(((0.1 + z * 0.115) / 0.5) ** 2, 1.0))
     assert np.isinf([needed(NOISE, 0.0, 0.95).times, needed(NOISE, 0.1, 0.95).high]).all()
+    assert np.isinf(needed(NOISE, 1e-200, 0.95).times)
 
 
 def test_so_many_trajectories_do_decide():

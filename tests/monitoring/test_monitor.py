@@ -12,7 +12,7 @@ from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 from halfseen.monitoring import betting
 from halfseen.monitoring.answer import FEWEST, num_needed, relearning
-from halfseen.monitoring.diagnosis import broken_parts, clock_unit, differs, swapped_or_changed
+from halfseen.monitoring.diagnosis import broken_parts, clock_unit, differs, part_words, swapped_or_changed
 from halfseen.monitoring.monitor import ALPHAS, looks_at_of, monitored
 from halfseen.monitoring.streams import move_streams, part_streams, swap_streams, swapped_states
 from halfseen.policies.folder import read_policy, write_policy
@@ -91,6 +91,9 @@ def test_a_clock_in_milliseconds_is_told_from_a_slow_cell(stored):
     assert any(unit in each for each in found.causes)
     assert found.relearning.startswith("Fix the recording")
     assert clock_unit(np.log(5.0)) == ""
+    assert part_words("duration", "A", np.log(5.0)).startswith("A takes 400% more time than")
+    assert part_words("duration", "A", np.log(500.0)).startswith("A takes 500 times more time than")
+    assert part_words("duration", "A", 1e4).startswith("A takes over 1,000,000 times more time than")
     assert "the other way round): multiply the clock by 60" in clock_unit(-np.log(60.0))
 
 
@@ -287,6 +290,21 @@ def test_rewards_in_another_unit_are_no_swapped_columns(stored):
     assert any(each.startswith("Fix the recording") for each in lines(found))
 
 
+def test_of_covariates_in_another_unit_nothing_else_is_blamed(stored):
+    logs = cell(300, 4, policy=stored.policy)
+    found = monitored(stored, Logs(logs.stages.assign(x=100.0 * logs.stages["x"]), logs.trajectories))
+    (cause,) = found.causes
+    assert cause.startswith("covariate x is 100 times as large as in the training log")
+
+
+def test_after_a_change_no_bounds_are_given_of_one_mean(stored):
+    broken = monitored(stored, cell(600, 2, (0.9, 0.2), stored.policy))
+    assert broken.findings
+    told = broken.as_dict()["earned"]
+    assert (told["low"], told["high"], told["since"]) == (None, None, broken.earned["since"])
+    assert "an action brings" in " ".join(each.words for each in broken.findings)
+
+
 def test_in_a_comparison_the_policys_trajectories_alone_say_what_it_earns(stored):
     own, rules = cell(300, 1, policy=stored.policy), cell(300, 5)
     of_both = pd.concat(
@@ -303,7 +321,7 @@ def test_in_a_comparison_the_policys_trajectories_alone_say_what_it_earns(stored
     np.testing.assert_array_equal(found.outcomes.values[::2], alone.outcomes.values)
     assert np.isnan(found.outcomes.values[1::2]).all()
     assert found.earned["value"] == pytest.approx(alone.earned["value"])
-    assert "300 trajectories of the rule do not count in what the policy earns" in found.notes
+    assert "not counted in what it earns: 300 trajectories of the rule" in found.notes
     of_rule = monitored(stored, Logs(rules.stages, rules.trajectories.assign(arm="rule")))
     assert of_rule.earned is None
 

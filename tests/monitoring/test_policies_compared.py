@@ -14,7 +14,7 @@ from halfseen.monitoring.comparison import (
     counted,
     log_wealth,
 )
-from halfseen.monitoring.dealing import Terms, standing
+from halfseen.monitoring.dealing import Standing, Terms, standing
 
 
 def drawn(num, rng, chance=0.5, gain=0.0, cut=0.0, noise=1.0, num_stages=3):
@@ -58,8 +58,8 @@ def survival_of(ends, finished, at):
 def naive_counted(courses):
     """Chance, A − p, Y − c and A − 1 + p, by loops over trajectories and stages."""
     stages = [np.flatnonzero(courses.trajectory == k) for k in range(courses.num)]
-    arms = courses.is_policy.astype(int)
-    begin = next(k + 1 for k in range(courses.num) if min(arms[: k + 1].sum(), (1 - arms[: k + 1]).sum()) >= 2)
+    arms, ended = courses.is_policy.astype(int), courses.is_finished.astype(int)
+    begin = next(k for k in range(courses.num) if min(ended[:k] @ arms[:k], ended[:k] @ (1 - arms[:k])) >= 2)
     found, learned_at = [], None
     for k in range(begin, courses.num):
         if learned_at is None or k >= max(learned_at + 1, int(1.25 * learned_at)):
@@ -71,11 +71,11 @@ def naive_counted(courses):
         def v(arm, row, values=values, scaled=scaled, first=stages[k][0]):
             return values(arm, scaled(row, row - first))
 
-        worth = v(a, stages[k][0])
+        both, worth = 2, v(2, stages[k][0])
         for row in stages[k]:
             if not np.isnan(courses.reward[row]):
-                after = v(a, row + 1) if row + 1 in stages[k] else 0.0
-                worth += weight(a, courses.clock_s[row]) * (courses.reward[row] + after - v(a, row))
+                after = v(both, row + 1) if row + 1 in stages[k] else 0.0
+                worth += weight(a, courses.clock_s[row]) * (courses.reward[row] + after - v(both, row))
         first = stages[k][0]
         found.append((p, a - p, worth - (1 - p) * v(1, first) - p * v(0, first), a - 1 + p))
     return np.array(found).T
@@ -95,13 +95,13 @@ def naive_learned(courses, stages, num):
 
     def weight(arm, at):
         ends, finished = courses.end_s[of_arm[arm]], courses.is_finished[of_arm[arm]]
-        return 1.0 / max(survival_of(ends, finished, at), 0.5)
+        return 1.0 / max(survival_of(ends, finished, at), min(0.5, 2.0 / num**0.5))
 
     coefficients = []
-    for arm in (0, 1):
+    for arm in (0, 1, 2):
         left, right = np.diag([1e-6, 1.0, 1.0]), np.zeros(3)
         for k, row, stage in rows:
-            if k in of_arm[arm] and not np.isnan(courses.reward[row]):
+            if (arm == 2 or k in of_arm[arm]) and not np.isnan(courses.reward[row]):
                 now = weight(int(courses.is_policy[k]), courses.clock_s[row]) * scaled(row, stage)
                 after = scaled(row + 1, stage + 1) if row + 1 in stages[k] else np.zeros(3)
                 left += np.outer(now, scaled(row, stage) - after)
@@ -175,6 +175,14 @@ def test_outcomes_that_never_varied_tell_nothing():
     for courses in (same, same._replace(reward=np.ones(len(same.reward)))):
         found = standing(courses, Terms(0.2, most_loss=1.0))
         assert (found.verdict, found.share, found.gain, found.worst_loss) == ("going on", 0.2, 0.0, 0.0)
+        assert ": the policy's gain is 0 to 0 a trajectory; it is unknown how many more would decide it" in str(found)
+
+
+def test_where_no_trajectory_of_an_arm_finished_nothing_is_known():
+    courses = drawn(300, np.random.default_rng(5), gain=3.0, cut=1.0)
+    found = standing(courses._replace(is_finished=courses.is_finished & courses.is_policy), Terms())
+    assert (found.verdict, found.low, found.high) == ("going on", None, None)
+    assert str(found).endswith("the policy's gain is not known yet; that takes more finished trajectories of both")
 
 
 def test_the_share_grows_as_what_is_likely_to_be_lost_shrinks():
@@ -213,16 +221,19 @@ def test_a_loss_that_is_allowed_is_not_passed():
 
 def test_what_is_said():
     assert str(standing(drawn(2, np.random.default_rng(0)), Terms())) == (
-        "going on after 2 trajectories, 1 by the policy: its gain is not known yet"
+        "the comparison goes on after 2 trajectories, 1 by the policy: the policy's gain is not known yet; that takes "
+        "more finished trajectories of both"
     )
+    going_on = Standing(60, 10, 0.4, -0.5, 1.8, 3.0, 0.2, "going on", 16494)
+    assert str(going_on).endswith("gain is −0.5 to +1.8 a trajectory; about 16,000 more would decide it")
     found = str(standing(drawn(300, np.random.default_rng(0), gain=1.0), Terms()))
-    assert found.startswith("promoted after 300 trajectories, 1")
+    assert found.startswith("the policy is promoted after 300 trajectories, 1")
     assert " a trajectory" in found
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("chance", [0.2, 0.5])
-@pytest.mark.parametrize("cut", [0.0, 0.4])
+@pytest.mark.parametrize("cut", [0.0, 0.4, 1.2])
 def test_false_verdicts_are_rare_at_any_time(chance, cut):
     rng, false = np.random.default_rng(8), 0
     for _ in range(300):

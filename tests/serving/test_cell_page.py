@@ -109,7 +109,7 @@ def test_the_last_trajectories_are_those_of_the_log_and_the_comparison_is_that_o
         run(asked, np.random.default_rng(0), MOST_TRAJECTORIES + 3, cut=0.4)
         state, text = asked.get("/state").json(), check_page(asked.get("/"))
         assert state["comparison"] == asked.get("/comparison").json()
-    assert state["comparison"]["sentence"] in text.replace("&#39;", "'")
+    assert state["comparison"]["sentence"][1:] in text.replace("&#39;", "'")
     logs = read_logs(tmp_path / "logs")
     totals = logs.stages.groupby("trajectory")["reward"].agg(["sum", "size"])
     rows = logs.trajectories.set_index("trajectory").iloc[: -MOST_TRAJECTORIES - 1 : -1]
@@ -167,42 +167,42 @@ def test_a_log_is_looked_at_where_there_is_news_and_not_too_often(flat, tmp_path
     assert said == ["Look 2."]
 
 
-def test_another_policy_is_watched_from_the_first_trajectory_on_that_it_decides_alone(flat, tmp_path, monkeypatch):
-    looks, folder = [], shutil.copytree(flat, tmp_path / "policy")
-    monkeypatch.setattr(Watch, "_asked", lambda watch: looks.append(watch._since) or {"sentence": f"{watch._since}."})
+def test_a_policy_is_watched_by_what_it_decided_itself(flat, tmp_path, monkeypatch):
+    folder, logs = shutil.copytree(flat, tmp_path / "policy"), tmp_path / "logs"
+    monkeypatch.setattr(Watch, "_asked", lambda watch: found_of(folder, logs, watch.digest))
+    digest = read_policy(flat).digest
     with (
-        Watch(folder, tmp_path / "logs", every_s=0.0) as watch,
-        client_of(folder, tmp_path / "logs", recent=Recent(watch)) as asked,
+        Watch(folder, logs, every_s=0.0, digest=digest) as watch,
+        client_of(folder, logs, recent=Recent(watch)) as asked,
     ):
 
-        def ended():
+        def watched():
             watch._next_s = 0.0
             asked.post("/reward", json={"reward": 1.0})
             asked.post("/end", json={"ending": "finished"})
             watch._thread.join()
+            found = asked.get("/state").json()["monitor"]
+            return found and (found["num_trajectories"], found["notes"][0].partition(":")[0])
 
         decided(asked, x1=0.1, x2=1)
-        ended()
+        watched()
         asked.post("/reload")
         decided(asked, x1=0.1, x2=1)
-        ended()
-        assert looks == [None, None]
-        before = decided(asked, x1=0.1, x2=1)["policy"]
+        assert watched()[0] == 2
+        decided(asked, x1=0.1, x2=1)
         write_policy(learned(reg=5.0).fit(flat_log()), flat_log(), folder, overwrite=True)
-        asked.post("/reload")
+        other = asked.post("/reload").json()["policy"]
         assert asked.get("/state").json()["monitor"] is None
-        assert "holds a different policy than the one in use" in found_of(folder, tmp_path / "logs", before)["error"]
-        assert watch.digest == asked.get("/health").json()["policy"] != before
+        assert "holds a different policy than the one in use" in found_of(folder, logs, digest)["error"]
+        assert watch.digest == other == read_policy(folder).digest != digest
         # Both policies decided in the third.
-        ended()
-        assert looks == [None, None]
+        assert watched() is None
         decided(asked, x1=0.1, x2=1)
-        ended()
-        assert looks == [None, None, 4]
-        assert asked.get("/state").json()["monitor"]["sentence"] == "4."
-    with client_of(flat, tmp_path / "more") as asked:
-        run(asked, np.random.default_rng(0), 3)
-    assert found_of(flat, tmp_path / "more", "", "2")["num_trajectories"] == 2
+        assert watched() == (1, "not counted")
+    assert read_logs(logs).trajectories["policy_digest"].tolist() == [digest] * 3 + [other]
+    assert found_of(flat, logs)["num_trajectories"] == 3
+    for one in (flat, folder):
+        assert monitored(read_policy(one), read_logs(logs)).num_trajectories == (3 if one == flat else 1)
 
 
 def test_a_log_that_cannot_be_watched_is_told_once(flat, tmp_path):

@@ -378,3 +378,20 @@ def test_the_path_of_the_guide_is_answered_and_recorded(recorded, shows, tmp_pat
         assert answer.status_code == 200, f"{line}: {answer.text}"
     stages = read_logs(tmp_path / "logs").stages
     assert stages["reward"].tolist() == [4.6, -0.4]
+
+
+def test_beyond_the_horizon_the_trajectory_ends_and_is_recorded(recorded, tables, shows, tmp_path):
+    cloud = shows(*CANS)
+    for stage in range(1, HORIZON + 1):
+        assert "stepped_back" not in decided(recorded, cloud, stage=str(stage))
+        rewarded(recorded)
+    told = decided(recorded, cloud)
+    assert (told["stage"], told["action"], told["stepped_back"]) == (HORIZON + 1, "FINISH", "beyond-horizon")
+    rewarded(recorded)
+    recorded.post("/end", json={"ending": "finished"})
+    logs = read_logs(tmp_path / "logs")
+    assert logs.stages["stepped_back"].notna().tolist() == [False] * HORIZON + [True]
+    assert len(last_rows(logs)) == len(CANS)
+    with client_of(tables, of_tables=True) as alone:
+        assert decided(alone, cloud, stage=str(HORIZON + 5))["stepped_back"] == "beyond-horizon"
+        assert "from 1 to 10,000" in refused(post(alone, cloud, stage="99999999"), 422)

@@ -268,6 +268,20 @@ def test_a_controller_that_lost_its_numbers_begins_a_trajectory_and_the_one_befo
     assert set(logs.trajectories["cause"]) == {REQUESTS_LOST}
 
 
+def test_a_second_halfseen_that_answers_the_same_controller_is_told(side):
+    controller, state = Played(request=40, decision=40), {"x1": 0.1, "x2": 1}
+    assert side.look(controller).error is None
+    controller.ask(1, state)
+    assert side.look(controller).state == "ResultReady"
+    for _ in range(2):
+        controller.ask(2, state)
+        controller.values["decision"] = controller.values["request"]
+        assert "answered by somebody else" in side.look(controller).error
+    assert len(side.lines) == 1
+    controller.values |= {"request": 7, "decision": 7}
+    assert side.look(controller).error is None
+
+
 def test_a_trajectory_that_no_comparison_dealt_is_cut_where_one_begins(flat, tmp_path):
     side = Side(flat, tmp_path)
     controller = Played()

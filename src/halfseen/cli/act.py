@@ -12,7 +12,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.inputs import law_of, refuse_output
-from halfseen.cli.messages import answer, say
+from halfseen.cli.messages import answer, say, tell_warning
 from halfseen.cli.options import SHIPPED
 from halfseen.errors import ArgumentError, NothingRecordedError
 from halfseen.text_table import aligned
@@ -203,13 +203,15 @@ def monitor(
     while True:
         try:
             read = read_logs(logs, missing=stored.missing())
-            read = read if since is None else later(read, since)
-        except NothingRecordedError:
+            found = monitored(stored, read if since is None else later(read, since), seed)
+        except NothingRecordedError as error:
             if not follow:
                 raise
+            if not said:
+                said = f"waiting: {error}"
+                tell_warning(said)
             time.sleep(every)
             continue
-        found = monitored(stored, read, seed)
         command = shlex.join(["halfseen", "monitor", str(policy), "--logs", str(logs), "--seed", str(seed), *anew])
         if page is not None:
             from halfseen.view.monitor_page import monitor_page

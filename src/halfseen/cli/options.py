@@ -94,6 +94,19 @@ class Real(click.FloatRange):
         return number if number == number else self.fail(f"{value} is not a number", param, ctx)
 
 
+class ShareOrTable(click.ParamType):
+    """A share below 1, or a CSV file."""
+
+    name = "share|file"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | Path:
+        """Distinguish a table from a share by the file ending."""
+        if str(value).lower().endswith(".csv"):
+            return Path(value)
+        share: Any = Real(0.0, 1.0, max_open=True)
+        return share.convert(value, param, ctx)
+
+
 def real(*names: str, text: str, default: float | None = None, **bounds: Any) -> Any:
     """An option that is a number within the bounds of `click.FloatRange`."""
     return click.option(*names, type=Real(**bounds), default=default, help=text)

@@ -35,19 +35,6 @@ FALL_BACK = (
 )
 
 
-class _ShareOrTable(click.ParamType):
-    """A share below 1, or a CSV file."""
-
-    name = "share|file"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | Path:
-        """Distinguish a table from a share by the file ending."""
-        if str(value).lower().endswith(".csv"):
-            return Path(value)
-        share: Any = options.Real(0.0, 1.0, max_open=True)
-        return share.convert(value, param, ctx)
-
-
 @click.command(epilog="Example: halfseen serve policy --record next-logs --explore 0.1")
 @click.argument("policy", type=options.PATH)
 @click.option("--host", default=HERE, help="Address to listen on; one that other machines can reach needs a token.")
@@ -56,7 +43,7 @@ class _ShareOrTable(click.ParamType):
 @options.path("--record", metavar="LOGS", text="Record the decisions in this folder of logs.")
 @click.option(
     "--explore",
-    type=_ShareOrTable(),
+    type=options.ShareOrTable(),
     default="0",
     help="Share of decisions drawn at random among the possible actions; or a CSV table of what to try where, as "
     "`halfseen learn --exploration` writes.",
@@ -78,8 +65,7 @@ class _ShareOrTable(click.ParamType):
 @options.real(
     "--share",
     **(ABOVE_0 | {"max": 0.5}),
-    default=0.2,
-    text="With --against: initial share of the policy; it grows as the largest likely loss shrinks.",
+    text="With --against: initial share of the policy, by default 0.2; it grows as the largest likely loss shrinks.",
 )
 @options.real(
     "--most-loss",
@@ -122,7 +108,7 @@ def serve(
     fall_back: Path | None,
     out_of_range: str | None,
     against: Path | None,
-    share: float,
+    share: float | None,
     most_loss: float | None,
     time_limit: float,
     monitor_every: float,
@@ -170,8 +156,7 @@ def serve(
         return
     _check_token(host, token)
     _check_wire(controller, mapping, record)
-    if against is not None and record is None:
-        raise ArgumentError(f"--against is {against}, but the comparison needs a log; give --record LOGS")
+    _check_comparison(against, record, share, most_loss)
     if record is not None and record.exists() and policy.exists() and record.samefile(policy):
         raise ArgumentError(f"--record is {record}, the folder of the policy; give another folder for its logs")
     # Create the folder of logs only when there is something to record.
@@ -195,10 +180,13 @@ def serve(
         nullcontext() if record is None else RecordedTrajectories(record, **kinds) as trajectories,
         nullcontext() if record is None or not monitor_every else Watch(*watched) as watch,
     ):
+        if trajectories is not None:
+            trajectories.refuse_other_columns(served.service.stored.policy)
         rng, recent = np.random.default_rng(seed), Recent(watch)
         served.answering = Answering(epsilon, table, rng, trajectories, recent=recent)
         if against is not None and record is not None:
-            held = LiveComparison(served.service, against, record, Terms(share, most_loss), seed, say)
+            terms = Terms(most_loss=most_loss) if share is None else Terms(share, most_loss)
+            held = LiveComparison(served.service, against, record, terms, seed, say)
             served.answering = replace(served.answering, comparison=held)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"
@@ -225,6 +213,14 @@ def _warn_of_rule(stored: Any, file: Path) -> None:
         if one.column in categories and one.text not in categories[one.column]:
             meant = did_you_mean(str(one.text), categories[one.column])
             tell_warning(f"{file}: the rule asks for {one.column} {one.sign} {one.text}, which no log showed{meant}")
+
+
+def _check_comparison(against: Path | None, record: Path | None, share: float | None, most_loss: float | None) -> None:
+    if against is not None and record is None:
+        raise ArgumentError(f"--against is {against}, but the comparison needs a log; give --record LOGS")
+    for name, given in {"--share": share, "--most-loss": most_loss}.items():
+        if against is None and given is not None:
+            raise ArgumentError(f"{name} is {given:g}, but nothing is compared; give --against RULE, too")
 
 
 def _check_wire(controller: str | None, mapping: Path | None, record: Path | None) -> None:

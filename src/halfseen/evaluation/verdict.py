@@ -93,8 +93,9 @@ def needed(difference: Estimate, gain: float, level: float, alike: float | None 
     reach = difference.bias + (normal.inv_cdf((1.0 + level) / 2.0) + normal.inv_cdf(POWER)) * error
 
     def times(known: float) -> float:
-        found = (reach / known) ** 2 if known > 0 else np.inf
-        return max(found, 1.0) if found <= MANY_TIMES else np.inf
+        # Compare before squaring, which may overflow.
+        is_near = known > 0.0 and reach <= np.sqrt(MANY_TIMES) * known
+        return max((reach / known) ** 2, 1.0) if is_near else np.inf
 
     return Needed(times(abs(gain)), times(abs(gain) + error), times(abs(gain) - error), gain)
 

@@ -22,6 +22,8 @@ STEPPED_BACK = "stepped_back"
 """Column with the reason why the rule decided in place of the policy, else null; not a covariate."""
 ARM, RULE = "arm", "rule"
 """Column of trajectories that a comparison dealt, and its value for those of the rule of today."""
+DECIDED_BY = "policy_digest"
+"""Column of trajectories with the identifier of the policy in service that decided them."""
 STAGE_COLUMNS = ("trajectory", "stage", "elapsed_s", "action", "object", "reward", "probability", "robot", STEPPED_BACK)
 TRAJECTORY_COLUMNS = ("trajectory", "end_s", "ending", "cause")
 OBJECT_COLUMNS = ("trajectory", "stage", "object")

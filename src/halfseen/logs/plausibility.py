@@ -118,7 +118,7 @@ def untrue_probabilities(logs: Logs) -> Iterator[str]:
         if p.min() * len(p) * len(names) < LEVEL:
             mean = inverse.sum() / len(stages)
             yield (
-                f"{took.sum()} of {len(stages)} stages took {name}, and 1/p of these adds up to {mean:.2f} times "
+                f"{took.sum()} of {len(stages)} stages took {name}, and 1/p of these adds up to {mean:.3g} times "
                 "all stages, which no policy can produce; log the probability of the action that was taken, when it "
                 "was drawn"
             )

@@ -174,6 +174,16 @@ class LogRecorder:
         """The trajectory that began last; None before the first."""
         return self._trajectory
 
+    @property
+    def kinds(self) -> dict[str, str] | None:
+        """Kinds of the covariates, such as "number", "truth value" or "text"; None before the first stage."""
+        return self._journal.known.schema.covariates
+
+    @property
+    def kinds_of_objects(self) -> dict[str, str] | None:
+        """The same for the columns of objects; empty if stages have no objects."""
+        return self._journal.known.schema.objects
+
     def close(self, cause: str | None = UNKNOWN_CAUSE) -> None:
         """Cut the trajectory in progress, if any, and release the folder; without a cause it may be resumed.
 

@@ -122,7 +122,13 @@ class Monitored:
         return f"Alarm at trajectory {self.alarm_at}: {first.words}, {since}{'; ' if earned else ''}{earned}."
 
     def as_dict(self) -> dict[str, Any]:
-        """All fields except the outcomes, the course and the p-values, ready for JSON."""
+        """All fields except the outcomes, the course and the p-values, ready for JSON.
+
+        After a change the bounds of the mean, which assume none, are null.
+        """
+        earned: Any = self.earned
+        if earned is not None and self.findings:
+            earned = {**earned, "low": None, "high": None}
         return {
             "sentence": self.sentence,
             "is_alarm": bool(self.findings),
@@ -130,7 +136,7 @@ class Monitored:
             "alarm_at": self.alarm_at,
             "num_trajectories": self.num_trajectories,
             "promised": self.promised,
-            "earned": self.earned,
+            "earned": earned,
             "findings": [asdict(each) for each in self.findings],
             "causes": list(self.causes),
             "relearning": self.relearning,

@@ -1,12 +1,14 @@
 """A randomised comparison of a policy with the rule of today: each trajectory is dealt to one of the two arms.
 
 Trajectory i goes to the policy (A = 1) with probability p. Its outcome Y is its total reward. Under cuts, Y is the
-doubly robust pseudo-outcome Y = v(S₁) + Σ_t δ_t/Ĝ(U_t⁻)·(R_t + v(S_{t+1}) − v(S_t)), with v the value function of its
-arm (least-squares temporal differences) and Ĝ the Kaplan–Meier estimate. It is unbiased if either is correct, and
-equals the total reward without cuts. Both are learned from earlier trajectories. With c = (1 − p) v¹(S₁) + p v⁰(S₁),
+doubly robust pseudo-outcome Y = v(S₁) + Σ_t δ_t/Ĝ(U_t⁻)·(R_t + v(S_{t+1}) − v(S_t)), with v the value function of both
+arms together (least-squares temporal differences) and Ĝ the Kaplan–Meier estimate of its arm. It is unbiased if either
+is correct, and equals the total reward without cuts. The same v for both arms keeps its error from being mistaken for a
+gain where Ĝ is small. With the values v¹ and v⁰ of policy and rule, and c = (1 − p) v¹(S₁) + p v⁰(S₁),
 E[(A − p)(Y − c)] = p(1 − p)·Δ. So a gambler bets on x_i(δ) = (A − p)(Y − c − δ(A − 1 + p)), whose mean is 0 if the
 gain Δ is δ [WaudbySmithRamdas2024]_. Its wealth against all gains up to δ ever reaches 1/α with probability at most α.
-Only randomly dealt trajectories count, so a drift of the cell, which affects both arms, is not mistaken for a gain.
+All estimates are from earlier trajectories. Only randomly dealt trajectories count, so a drift of the cell, which
+affects both arms, is not mistaken for a gain.
 
 The range of x_i is unknown, so each is clipped to the largest absolute value before it. Clipping and the estimates
 under cuts make α a target, not a guarantee; `benchmarks/against.py` counts how often it is missed.
@@ -21,13 +23,14 @@ from halfseen.censoring import KaplanMeier
 from halfseen.shapes import Bool, Float, Int
 
 FEWEST_OF_EITHER = 2
-"""Fewest trajectories of each arm to learn from before the first one counts."""
+"""Fewest finished trajectories of each arm to learn from before the first one counts."""
 MORE = 1.25
 """Factor by which the number of trajectories grows between two fits of v and Ĝ."""
-SMALLEST_SURVIVAL = 0.5
-"""Survival probability below which weights stop growing, so that v takes over."""
+SMALLEST_SURVIVAL, NARROWS = 0.5, 2.0
+"""Survival probability below which weights stop growing, so that v takes over: the first, or the second over √n where
+that is less, for n trajectories to learn from. So an error of v matters less as evidence accumulates."""
 FEWEST_OF_ARM = 10
-"""Fewest trajectories of an arm that gets its own v and Ĝ."""
+"""Fewest trajectories of an arm that gets its own values and Ĝ."""
 RIDGE = 1.0
 """Ridge penalty of v [stages]."""
 BETS = np.array([0.02, 0.15, 0.5, 0.95])
@@ -36,6 +39,10 @@ STAKES = np.array([1.0, 1.0, 2.0, 2.0]) / 6.0
 """Initial wealth of each bet; more on large bets, which detect large gains early."""
 NUM_HALVINGS, FARTHEST = 17, 64.0
 """Bisection steps for a bound; and the end of its search range, in multiples of the largest excess."""
+
+
+NOISE = 1e-12
+"""Size of a bound that is 0 but for rounding [reward]."""
 
 
 class Courses(NamedTuple):
@@ -84,13 +91,15 @@ class CountedTrajectories(NamedTuple):
 
 
 class _Learned(NamedTuple):
-    """v (as coefficients) and Ĝ of the rule and of the policy; and the scaling of the features."""
+    """v⁰, v¹ and v as coefficients, Ĝ of the rule and of the policy, and the scaling of the features."""
 
-    coefficients: Float[np.ndarray, "2 G"]
+    coefficients: Float[np.ndarray, "3 G"]
     survivals: list[KaplanMeier | None]
     centre: Float[np.ndarray, " G1"]
     spread: Float[np.ndarray, " G1"]
     range: tuple[float, float]
+    smallest: float
+    """Smallest Ĝ of a weight."""
 
 
 class _Wealth(NamedTuple):
@@ -146,8 +155,8 @@ def counted(
         Cache of the fits.
     """
     kept = ComparisonCache() if kept is None else kept
-    arm = np.cumsum(courses.is_policy)
-    enough = np.flatnonzero(np.minimum(arm, np.arange(1, courses.num + 1) - arm) >= FEWEST_OF_EITHER)
+    finished = [np.cumsum(courses.is_finished & (courses.is_policy == arm)) for arm in (False, True)]
+    enough = np.flatnonzero(np.minimum(*finished) >= FEWEST_OF_EITHER)
     begin = int(enough[0]) + 1 if len(enough) else courses.num
     done, parts = begin + len(known.excess), [known]
     while begin < courses.num:
@@ -173,10 +182,11 @@ def _learned(past: Courses) -> _Learned:
     survivals = [_survival(past, arm) for arm in (False, True)]
     features = np.column_stack([np.ones(len(columns)), (columns - centre) / spread])
     after = np.where(_goes_on(past)[:, None], np.roll(features, -1, axis=0), 0.0)
-    weight = _weights(past, survivals)
+    smallest = min(SMALLEST_SURVIVAL, NARROWS / np.sqrt(past.num))
+    weight = _weights(past, survivals, smallest)
     of_arm = [_of_arm(past, arm)[past.trajectory] for arm in (False, True)]
-    each = [_value(features, after, past.reward, weight * rows) for rows in of_arm]
-    return _Learned(np.stack(each), survivals, centre, spread, (totals.min(), totals.max()))
+    each = [_value(features, after, past.reward, weight * rows) for rows in (*of_arm, 1.0)]
+    return _Learned(np.stack(each), survivals, centre, spread, (totals.min(), totals.max()), smallest)
 
 
 def _of_arm(past: Courses, arm: bool) -> Bool[np.ndarray, " n"]:
@@ -190,14 +200,14 @@ def _survival(past: Courses, arm: bool) -> KaplanMeier | None:
     return None if past.is_finished[of].all() else KaplanMeier().fit(past.end_s[of], past.is_finished[of])
 
 
-def _weights(courses: Courses, survivals: list[KaplanMeier | None]) -> Float[np.ndarray, " m"]:
+def _weights(courses: Courses, survivals: list[KaplanMeier | None], smallest: float) -> Float[np.ndarray, " m"]:
     """δ/Ĝ(U⁻) of each stage; Ĝ is 1 without cuts."""
     is_done = ~np.isnan(courses.clock_s)
     weight = is_done.astype(np.float64)
     for arm, survival in enumerate(survivals):
         if survival is not None:
             rows = is_done & (courses.is_policy[courses.trajectory] == bool(arm))
-            weight[rows] = 1.0 / np.maximum(survival.survival(courses.clock_s[rows]), SMALLEST_SURVIVAL)
+            weight[rows] = 1.0 / np.maximum(survival.survival(courses.clock_s[rows]), smallest)
     return weight
 
 
@@ -225,13 +235,12 @@ def _added(learned: _Learned, new: Courses) -> CountedTrajectories:
     features = np.column_stack([np.ones(len(columns)), columns])
     # Sum each row separately: the last bit of a matrix product depends on the other rows.
     values = np.clip((learned.coefficients[:, None] * features).sum(axis=2), *learned.range)
-    arm, goes_on = new.is_policy[new.trajectory], _goes_on(new)
-    own = np.where(arm, values[1], values[0])
-    after = np.where(goes_on, np.roll(own, -1), 0.0)
-    news = _weights(new, learned.survivals) * (np.nan_to_num(new.reward) + after - own)
-    worth = own[first] + np.bincount(new.trajectory, news, new.num)
+    of_rule, of_policy, value = values
+    after = np.where(_goes_on(new), np.roll(value, -1), 0.0)
+    news = _weights(new, learned.survivals, learned.smallest) * (np.nan_to_num(new.reward) + after - value)
+    worth = value[first] + np.bincount(new.trajectory, news, new.num)
     p, a = new.chance, new.is_policy.astype(np.float64)
-    return CountedTrajectories(p, a - p, worth - (1.0 - p) * values[1][first] - p * values[0][first], a - 1.0 + p)
+    return CountedTrajectories(p, a - p, worth - (1.0 - p) * of_policy[first] - p * of_rule[first], a - 1.0 + p)
 
 
 def log_wealth(of: CountedTrajectories, gain: float, side: int = 1) -> Float[np.ndarray, " n"]:
@@ -286,7 +295,7 @@ def bound(of: CountedTrajectories, alpha: float, side: int = 1, kept: Comparison
     if not len(of.excess):
         return -side * np.inf
     kept, need = ComparisonCache() if kept is None else kept, -np.log(alpha)
-    far = FARTHEST * float(np.abs(of.excess).max()) + 1e-12
+    far = FARTHEST * float(np.abs(of.excess).max()) + NOISE
     out, within = -side * far, side * far
     if kept.best(of, out, side) < need:
         return -side * np.inf

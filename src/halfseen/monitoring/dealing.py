@@ -12,7 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from halfseen.monitoring.comparison import ComparisonCache, CountedTrajectories, Courses, bound, counted
+from halfseen.monitoring.comparison import NOISE, ComparisonCache, CountedTrajectories, Courses, bound, counted
+from halfseen.wording import counted as counted_in_words
 
 POLICY = "policy"
 PROMOTES, HARMS = 0.025, 0.05
@@ -77,18 +78,19 @@ class Standing:
     more: int | None
 
     def __str__(self) -> str:
-        so_far = f"after {self.num} trajectories, {self.num_policy} by the policy"
+        stands = "the comparison goes on" if self.verdict == "going on" else f"the policy is {self.verdict}"
+        so_far = f"{stands} after {counted_in_words(self.num, 'trajectory')}, {self.num_policy:,} by the policy"
         if self.low is None or self.high is None:
-            return f"{self.verdict} {so_far}: its gain is not known yet"
-        known = f"it gains {_signed(self.low)} to {_signed(self.high)} a trajectory"
+            return f"{so_far}: the policy's gain is not known yet; that takes more finished trajectories of both"
+        known = f"{so_far}: the policy's gain is {_signed(self.low)} to {_signed(self.high)} a trajectory"
         if self.verdict != "going on":
-            return f"{self.verdict} {so_far}: {known}"
-        more = "it is unknown how many more would decide" if self.more is None else f"about {self.more:,} more decide"
-        return f"going on {so_far}: {known}; {more}"
+            return known
+        more = "how many more" if self.more is None else f"about {float(f'{self.more:.2g}'):,.0f} more"
+        return f"{known}; {'it is unknown ' if self.more is None else ''}{more} would decide it"
 
 
 def _signed(number: float) -> str:
-    return f"{number:+.2g}".replace("-", "−")
+    return f"{number:+.2g}".replace("-", "−") if number else "0"
 
 
 def standing(
@@ -126,7 +128,9 @@ def standing(
 
 
 def _finite(number: float) -> float | None:
-    return float(number) if np.isfinite(number) else None
+    if not np.isfinite(number):
+        return None
+    return float(number) if abs(number) > NOISE else 0.0
 
 
 def _verdict(courses: Courses, terms: Terms, low: float, is_harm: bool, worst: float) -> Verdict:

@@ -102,12 +102,21 @@ def differs(part: Stream, at: int) -> str:
 
 def part_words(what: str, action: str, mean: float, than: str = "than in the log in the same states") -> str:
     """Describe a mean change of an action's reward, or of the logarithm of its duration."""
-    amount = f"{abs(mean):.2g}" if what == "reward" else f"{abs(np.expm1(mean)):.0%}"
+    amount = f"{abs(mean):.2g}" if what == "reward" else _longer(mean)
     verb, time = ("brings", "") if what == "reward" else ("takes", " time")
     unit = "" if what == "reward" else clock_unit(mean)
     return f"{action} {verb} {amount} {'less' if mean < 0 else 'more'}{time} {than}{unit}"
 
 
+def _longer(mean: float) -> str:
+    """How much longer or shorter, from a mean change of log durations."""
+    if mean > np.log(MOST_TIMES):
+        return f"over {MOST_TIMES:,} times"
+    factor = float(np.exp(mean))
+    return f"{abs(factor - 1.0):.0%}" if factor < 10.0 else f"{factor:,.0f} times"
+
+
+MOST_TIMES = 1_000_000
 CLOCKS = {
     60.0: "seconds for minutes",
     1e3: "milliseconds for seconds",

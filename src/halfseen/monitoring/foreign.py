@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.errors import LogError, closest
+from halfseen.errors import LogError, NothingRecordedError, closest
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
-from halfseen.logs.columns import STEPPED_BACK, shown
+from halfseen.logs.columns import DECIDED_BY, STEPPED_BACK, shown
 from halfseen.policies.shares import own_stages
 from halfseen.shapes import Bool
 from halfseen.wording import counted
@@ -26,6 +26,34 @@ HALF = 0.5
 which the log is not the policy's."""
 ERRORS = 3.0
 """Number of standard errors by which that share must exceed `HALF`."""
+
+
+def decided_by(digest: str, logs: Logs) -> Logs:
+    """The trajectories that a policy decided; all if the log does not say who decided.
+
+    Parameters
+    ----------
+    digest
+        Identifier of the policy.
+    logs
+        The log.
+
+    Raises
+    ------
+    NothingRecordedError
+        It decided none.
+    """
+    by = logs.trajectories.get(DECIDED_BY)
+    if by is None or by.isna().all():
+        return logs
+    is_its = by.eq(digest).fillna(False).to_numpy(dtype=bool)
+    if not is_its.any():
+        whose = ", ".join(sorted(map(str, by.dropna().unique())))
+        raise NothingRecordedError(
+            f"none of its {counted(len(by), 'trajectory')} was decided by this policy ({digest}), but by {whose}; "
+            "give the log of its service"
+        )
+    return logs if is_its.all() else logs.select(logs.trajectory_ids[is_its])
 
 
 def in_known_categories(looks_at: Covariates, logs: Logs) -> Logs:

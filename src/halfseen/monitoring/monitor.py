@@ -22,6 +22,7 @@ from halfseen.monitoring import betting
 from halfseen.monitoring.answer import MEND_FIRST, Finding, Monitored, num_needed, relearning
 from halfseen.monitoring.diagnosis import (
     CHANGED_TOGETHER,
+    OTHER_UNIT,
     SWAPPED,
     ChangePoint,
     broken_parts,
@@ -36,6 +37,7 @@ from halfseen.monitoring.diagnosis import (
     swapped_or_changed,
 )
 from halfseen.monitoring.foreign import (
+    decided_by,
     in_known_categories,
     not_its_own,
     own_actions,
@@ -99,7 +101,7 @@ class Bets:
 
 
 def monitored(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Monitored:
-    """Monitor a policy by the log of its service. Only trajectories that have ended count, in order.
+    """Monitor a policy by the log of its service. Only its own trajectories that have ended count, in order.
 
     Trajectories appended to the log do not change earlier results, so an alarm stays.
 
@@ -117,7 +119,7 @@ def monitored(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Monitored:
     PolicyError
         The policy's folder keeps nothing of the training log.
     LogError
-        The policy knows none of the log's actions.
+        The policy knows none of the log's actions, or decided none of its trajectories.
     """
     bets = bets_of(stored, logs, seed)
     return concluded(stored, bets, betting.log_wealth(np.concatenate(list(bets.payoffs.values()), axis=1)))
@@ -128,9 +130,12 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     promise = stored.record.get("promise")
     if promise is None:
         raise PolicyError("its folder holds no promise, as it is from halfseen 0.1; learn the policy again")
+    whole_log, logs = logs, decided_by(stored.digest, logs)
+    others = whole_log.num_trajectories - logs.num_trajectories
+    unlike = "that the log does not ascribe to this policy"
+    notes = [f"not counted: {counted(others, 'trajectory')} {unlike}"] if others else []
     has_ended = np.asarray(logs.trajectories["cause"] != RUNNING)
     logs = logs if has_ended.all() else logs.select(logs.trajectory_ids[has_ended])
-    notes: list[str] = []
     policy = stored.policy
     looks_at = looks_at_of(policy)
     inputs, parts = input_streams(promise["stages"], logs), part_streams(promise.get("parts", ()), looks_at, logs)
@@ -195,8 +200,10 @@ def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n
     causes: tuple[str, ...] = ()
     if findings:
         causes = (*unit, *input_words(promise, logs, findings[0].since))
-        broken = broken_parts(promise, looks_at_of(stored.policy), logs, findings[0].since)
-        causes += tuple(each for each in broken if not any(each.startswith(one) for one in causes))
+        # In another unit, the log's models are far outside what they were fitted to.
+        if not any(OTHER_UNIT in each for each in causes):
+            broken = broken_parts(promise, looks_at_of(stored.policy), logs, findings[0].since)
+            causes += tuple(each for each in broken if not any(each.startswith(one) for one in causes))
     since = findings[0].since if findings else 1
     course, earned = (None, None) if outcomes is None else _earned(outcomes, promise["brings"], since)
     is_judged = promise.get("value") and not bets.foreign
@@ -258,7 +265,7 @@ def _own_outcomes(
     """The result of `_outcomes`, with NaN for the rule's trajectories."""
     if is_own.all():
         return _outcomes(stored, logs, promise, notes)
-    notes.append(f"{counted(int((~is_own).sum()), 'trajectory')} of the rule do not count in what the policy earns")
+    notes.append(f"not counted in what it earns: {counted(int((~is_own).sum()), 'trajectory')} of the rule")
     own = _outcomes(stored, logs.select(logs.trajectory_ids[is_own]), promise, notes) if is_own.any() else None
     if own is None:
         return None

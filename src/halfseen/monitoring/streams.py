@@ -141,7 +141,7 @@ def whole_stream(streams: list[Stream], parts: Any, num: int) -> Stream:
     pieces = [(stream.residuals, stream.tolerance, stream.trajectory) for stream, _ in some]
     knots = np.unique(np.concatenate([part["residuals"]["values"] for _, part in some]))
     reach, num_states = max(stream.reach for stream, _ in some), sum(part["num_states"] for _, part in some)
-    return _together("reward", "what is done", pieces, knots, num, reach, num_states)
+    return _together("reward", "an action", pieces, knots, num, reach, num_states)
 
 
 def swap_streams(streams: list[Stream], parts: Any, looks_at: Covariates, logs: Logs, first: Any) -> list[Stream]:

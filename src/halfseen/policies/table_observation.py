@@ -95,6 +95,7 @@ def see_table(
     stage: int | None = None,
     labels: Path | None = None,
     law: SeenLaw | None = None,
+    horizon: int | None = None,
 ) -> TableSeen:
     """Perceive the table, and place it in its trajectory.
 
@@ -106,6 +107,8 @@ def see_table(
         As for `read_observation`.
     past
         The trajectory so far; None at its beginning.
+    horizon
+        Last stage that is accepted; None for the policy's.
 
     Raises
     ------
@@ -121,7 +124,7 @@ def see_table(
         raise CloudError(f"{file}: no objects on the table; bring the whole table with its objects into view{cleared}")
     seen_labels, others = labels_of(view, cloud, labels), other_things_in_words(view)
     scene = view.scene() if law is None else law.scene(view)
-    now = _present(stored, view, scene, past, stage)
+    now = _present(stored, view, scene, past, stage, horizon or stored.horizon)
     now = replace(now, notes=(*filter(None, (others, left_out_in_words(view))), *now.notes))
     if seen_labels is None:
         return TableSeen(now, view, others)
@@ -129,17 +132,17 @@ def see_table(
     return TableSeen(replace(after, seen=_seen(now, after, labels_in_words(seen_labels, labels))), view, others)
 
 
-def _present(stored: StoredPolicy, view: View, scene: Scene, past: Past | None, stage: int | None) -> Present:
+def _present(
+    stored: StoredPolicy, view: View, scene: Scene, past: Past | None, stage: int | None, horizon: int
+) -> Present:
     dirty_share = stored.record["schema"]["dirty_share"]
     if past is None:
-        return first_state(scene, stored.horizon, dirty_share, stage or 1)
+        return first_state(scene, horizon, dirty_share, stage or 1)
     from halfseen.policies.history import present_state
 
     with nullcontext() if past.folder is None else within(past.folder):
         refuse_log_of_team(stored, past.logs)
-        now = present_state(
-            scene, stored.horizon, past.logs, dirty_share=dirty_share, places_m=view.places_m, held=past.held
-        )
+        now = present_state(scene, horizon, past.logs, dirty_share=dirty_share, places_m=view.places_m, held=past.held)
     if stage not in (None, now.stage):
         raise ArgumentError(
             f"--stage is {stage}, but the trajectory in {past.folder} is at stage {now.stage}; leave --stage out"

@@ -142,7 +142,7 @@ class LiveComparison:
         self.counted = counted(self.courses, self.counted, self.kept)
         self.standing = standing(self.courses, self.terms, self.counted, self.kept)
         if self.standing.verdict != before:
-            self.say(f"the policy is {self.standing}")
+            self.say(f"{self.standing}.")
 
     def of(self, service: "InService", *, is_in_progress: bool) -> "LiveComparison":
         """Comparison of another policy or rule in this log; a trajectory in progress goes on, and does not count."""
@@ -155,7 +155,7 @@ class LiveComparison:
     @property
     def facts(self) -> Compared:
         """Answer of `/comparison`."""
-        return Compared(sentence=str(self.standing), **vars(self.standing))
+        return Compared(sentence=str(self.standing), **vars(self.standing), most_loss=self.terms.most_loss)
 
     def _recorded(self) -> Courses:
         if not self.folder.exists():

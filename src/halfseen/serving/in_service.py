@@ -4,7 +4,6 @@ The rule decides outside the range of the training log, beyond the horizon, when
 late. It decides with probability 1: which of the two decides depends on the state only, so the log can be learned from.
 """
 
-import hashlib
 import sys
 import traceback
 from collections import Counter
@@ -17,8 +16,7 @@ import numpy as np
 from halfseen.errors import OutOfRangeError
 from halfseen.policies import decider_of, read_policy
 from halfseen.policies.decision import Decider, Decision
-from halfseen.policies.folder.record import as_json
-from halfseen.policies.folder.stored import UNDECIDED, StoredPolicy, kind_named, refuse_team
+from halfseen.policies.folder.stored import UNDECIDED, StoredPolicy, refuse_team
 from halfseen.policies.named_decider import NamedDecider
 from halfseen.policies.ranges import middle_of
 from halfseen.policies.rule_files import FallBack, fall_back_of
@@ -39,7 +37,7 @@ class InService:
     decider
         The same policy behind the decision interface.
     digest
-        Its identifier: the first 12 digits of the SHA-256 of its record and its numbers.
+        Its identifier, as in `StoredPolicy`.
     fall_back
         Rule that decides where the policy does not; None if unknown.
     """
@@ -76,7 +74,7 @@ def taken_into_service(
     fall_back = fall_back_of(stored, rule)
     decider = decider_of(stored, extrapolates=extrapolates, stays_within=stays_within)
     _warm(stored, decider)
-    return InService(stored, decider, digest_of(stored), fall_back)
+    return InService(stored, decider, stored.digest, fall_back)
 
 
 def _warm(stored: StoredPolicy, decider: Decider) -> None:
@@ -94,14 +92,6 @@ def _warm(stored: StoredPolicy, decider: Decider) -> None:
     for number in range(max(1, int(fewest)), min(int(most), MOST_WARMED) + 1):
         nothing_hidden = Scene(np.zeros((number, number)))
         decider.decide(first_state(nothing_hidden, stored.horizon, stored.record["schema"]["dirty_share"]))
-
-
-def digest_of(stored: StoredPolicy) -> str:
-    """Identifier of a policy; see `InService`."""
-    digest = hashlib.sha256(as_json(stored.record))
-    for name, array in sorted(kind_named(stored.record["kind"]).arrays_of(stored.policy).items()):
-        digest.update(name.encode() + array.tobytes())
-    return digest.hexdigest()[:12]
 
 
 @dataclass(frozen=True)

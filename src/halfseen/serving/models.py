@@ -158,6 +158,7 @@ class Compared(Struct, frozen=True, kw_only=True):
     low: Annotated[Amount, _is("Its lower bound, at any time wrong with probability 0.025 at most; null if none.")]
     high: Annotated[Amount, _is("Its upper bound, likewise.")]
     worst_loss: Annotated[Amount, _is("Upper bound on the policy's total loss, wrong with probability 0.05 at most.")]
+    most_loss: Annotated[Amount, _is("Total loss above which the policy is stopped; null for no limit.")]
     more: Annotated[int | None, _is("About how many more trajectories would decide; null if unknown.")]
 
 

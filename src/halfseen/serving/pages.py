@@ -109,7 +109,8 @@ def _covariate(categories: Any, seen: Any, may_lack: bool) -> Schema:
         listed = f"{' or '.join(categories)}; for any other the rule decides."
         return {"type": ["string", "null"] if may_lack else "string", "description": listed}
     known = "" if seen is None else f", in the logs {seen[0]:.3g} to {seen[1]:.3g} at the first stage"
-    return {"type": ["number", "null"] if may_lack else "number", "description": f"A number{known}."}
+    kinds = ["number", "boolean", *(["null"] if may_lack else [])]
+    return {"type": kinds, "description": f"A number{known}."}
 
 
 def description_of(api: Schema) -> str:
@@ -196,7 +197,7 @@ def _sentence(decision: DecisionAnswer | None, recording: RecordingProgress | An
 def _who(decision: DecisionAnswer) -> str:
     """Who decided."""
     if decision.arm == "rule":
-        return "by the rule in use, to which this trajectory was assigned"
+        return "by the rule of today, to which this trajectory was assigned"
     if decision.stepped_back is not UNSET:
         return f"by the rule in the policy's place ({decision.stepped_back})"
     return "drawn to explore" if decision.is_explored else "by the policy"
@@ -207,5 +208,5 @@ def page_of(cell: Cell, answering: Answering) -> str:
     watch = answering.recent.watch
     figures = ((watch and watch.found) or {}).get(FIGURES, {})
     content = {"cell": cell, "UNSET": UNSET, "watch": watch, "figures": figures, "script": SCRIPT}
-    words = {"counted": counted, "percent": percent, "significant": significant}
+    words: Any = {"capitalised": capitalised, "counted": counted, "percent": percent, "significant": significant}
     return rendered(*TEMPLATE, content, **words)

@@ -120,8 +120,8 @@ def _refuse_new(new: Mapping[str, str], categories: Categories) -> Decision:
     raise OutOfRangeError(f"{name} is {given!r:.40}, which does not occur in the logs{they}")
 
 
-def _check_next(stage: int | None, next_stage: int | None) -> None:
-    if next_stage is not None and stage not in (None, next_stage):
+def _check_next(stage: int, next_stage: int | None) -> None:
+    if next_stage not in (None, stage):
         raise Refusal(409, f"stage is {stage}, but the trajectory in progress is at stage {next_stage}; leave it out")
 
 
@@ -153,13 +153,15 @@ def seen_in_cloud(
         raise Refusal(415, f"the policy looks at {looks_at}, not at clouds; give a JSON object of these")
     from halfseen.policies.table_observation import Past, see_table
 
-    stage, labels = given.stage or None, given.labels or None
-    if trajectories is not None:
-        _check_next(stage, trajectories.next_stage(is_of_cloud=True))
+    next_stage = None if trajectories is None else trajectories.next_stage(is_of_cloud=True)
+    stage = checked_stage(given.stage or next_stage or 1, LATEST_STAGE, BODY, "")
+    _check_next(stage, next_stage)
     so_far = None if trajectories is None else trajectories.so_far
     past = None if so_far is None else Past(so_far.logs, so_far.held)
     try:
-        table = see_table(service.stored, given.cloud, past, stage, labels, law)
+        # Beyond its horizon the policy steps back, but what is seen is still recorded.
+        horizon = max(service.stored.horizon, stage)
+        table = see_table(service.stored, given.cloud, past, stage, given.labels or None, law, horizon)
     except HalfseenError as error:
         raise type(error)(str(error).replace(f"{given.cloud.parent}/", "")) from error
     present, said = table.present, table.present.seen.replace(f"{given.cloud.parent}/", "")

@@ -22,6 +22,7 @@ from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.recorder import LogRecorder, TrajectoryRecorder
 from halfseen.policies.decision import Decision
+from halfseen.serving.fitting import fitted, refuse_other_columns
 from halfseen.serving.models import DecisionAnswer, EndAnswer, RecordingProgress, Refusal
 
 STOPPED = "server stopped"
@@ -88,7 +89,7 @@ class RecordedTrajectories:
 
     def __init__(self, folder: Path, *, is_of_tables: bool = False, resumes: bool = False) -> None:
         check = self._check_table if is_of_tables else None
-        self._recorder = LogRecorder(folder, check=check, keeps_events=True)
+        self._folder, self._recorder = folder, LogRecorder(folder, check=check, keeps_events=True)
         self._is_of_tables, self._resumes = is_of_tables, resumes
         self._checked: Logs | None = None
         self._trajectory: TrajectoryRecorder | None = None
@@ -139,6 +140,20 @@ class RecordedTrajectories:
         if self._unrewarded is not None:
             remedy = "POST it to /reward, or the trajectory's end to /end"
             raise Refusal(409, f"{self._where}: it has no reward yet; {remedy}")
+
+    def refuse_other_columns(self, policy: Any) -> None:
+        """Refuse a policy whose states this log cannot hold; errors as in `halfseen.serving.fitting`."""
+        refuse_other_columns(policy, self._recorder.kinds, self._folder)
+
+    def fitted(self, begun: Begun) -> tuple[Begun, list[str]]:
+        """A stage as this log holds it, and warnings; as in `halfseen.serving.fitting`."""
+        covariates, doubts = fitted(begun.covariates, self._recorder.kinds)
+        if begun.objects is None or not self._recorder.kinds_of_objects:
+            return replace(begun, covariates=covariates), doubts
+        kinds = {"object": "name", **self._recorder.kinds_of_objects}
+        rows = [fitted(row, kinds) for row in begun.objects]
+        doubts += dict.fromkeys(f"of objects, {doubt}" for _, of_row in rows for doubt in of_row)
+        return replace(begun, covariates=covariates, objects=[row for row, _ in rows]), doubts
 
     @property
     def so_far(self) -> SoFar | None:

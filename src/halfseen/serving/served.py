@@ -15,7 +15,7 @@ import numpy as np
 from anyio import move_on_after, to_thread
 from msgspec import UNSET
 
-from halfseen.logs.columns import RULE
+from halfseen.logs.columns import DECIDED_BY, RULE
 from halfseen.monitoring.dealing import POLICY
 from halfseen.policies.decision import Decision
 from halfseen.policies.rule_files import ExplorationTable
@@ -79,7 +79,6 @@ class Answering:
         if self.comparison is not None:
             made, arm = self._dealt(self.comparison, seen, decided, made)
             back = back if arm == POLICY else None
-        self.tally.add(back)
         verb, _, number = str(made.decision.action).partition(" ")
         acted = {"verb": verb, "object": seen.names[int(number)] if number else None} if seen.names else {}
         return DecisionAnswer(
@@ -135,12 +134,13 @@ class Answering:
         if self.trajectories is None:
             self.recent.decided(begun.covariates, reply)
             return reply
-        if comparison is not None:
-            begun = replace(begun, columns={**begun.columns, **comparison.columns()})
+        dealt = {} if comparison is None else comparison.columns()
+        begun, doubts = self.trajectories.fitted(begun)
+        begun = replace(begun, columns={**begun.columns, DECIDED_BY: reply.policy, **dealt})
         name = self.trajectories.decided(begun, reply)
         if comparison is not None:
             comparison.dealt().took()
-        reply = msgspec.structs.replace(reply, trajectory=name)
+        reply = msgspec.structs.replace(reply, trajectory=name, warnings=[*reply.warnings, *doubts])
         self.recent.decided(begun.covariates, reply)
         return reply
 
@@ -198,17 +198,19 @@ class Served:
         Raises
         ------
         PolicyError
-            The folder cannot be read; the current policy stays.
+            The folder cannot be read, or the log cannot hold its states; the current policy stays.
         """
         fresh = await to_thread.run_sync(self.read)
         async with self.lock:
             answering, recording = self.answering, self.answering.trajectories
+            if recording is not None:
+                recording.refuse_other_columns(fresh.stored.policy)
             if answering.comparison is not None and recording is not None:
                 to = partial(answering.comparison.of, fresh, is_in_progress=recording.facts.trajectory is not None)
                 self.answering = replace(answering, comparison=await to_thread.run_sync(to))
             watch = answering.recent.watch
-            if watch is not None and recording is not None and fresh.digest != self.service.digest:
-                watch.anew(fresh.digest, recording.facts.trajectory)
+            if watch is not None and fresh.digest != self.service.digest:
+                watch.anew(fresh.digest)
             self.service = fresh
         return fresh
 
@@ -231,13 +233,19 @@ class Served:
             service, is_table = self.service, self.service.stored.is_table
             if not is_table:
                 seen = look(service)
-                given = self.answering.answer(service, seen, await self._decided(service, seen))
-                return self.answering.recorded(seen, given)
-            await check()
-            seen = await to_thread.run_sync(look, service)
-            given = self.answering.answer(service, seen, await self._decided(service, seen))
-            await check()
-            return await to_thread.run_sync(self.answering.recorded, seen, given)
+                decided = await self._decided(service, seen)
+                reply = self.answering.recorded(seen, self.answering.answer(service, seen, decided))
+            else:
+                await check()
+                seen = await to_thread.run_sync(look, service)
+                decided = await self._decided(service, seen)
+                given = self.answering.answer(service, seen, decided)
+                await check()
+                reply = await to_thread.run_sync(self.answering.recorded, seen, given)
+            # In a comparison the rule's own trajectories do not step back.
+            back = decided if isinstance(decided, SteppedBack) and reply.stepped_back is not UNSET else None
+            self.answering.tally.add(back)
+            return reply
 
     async def _decided(self, service: InService, seen: AskedState) -> Decision | SteppedBack:
         """Ask the policy; an answer after the time limit is dropped."""

@@ -21,7 +21,7 @@ from typing import Any
 
 from msgspec import UNSET
 
-from halfseen.errors import HalfseenError
+from halfseen.errors import HalfseenError, NothingRecordedError
 from halfseen.logs.columns import ARM, STEPPED_BACK
 from halfseen.logs.recorded import followed
 from halfseen.serving.models import DecisionAnswer, LoggedTrajectory
@@ -59,9 +59,6 @@ class Watch:
 
     def __post_init__(self) -> None:
         self._is_new, self._is_over, self._began_s, self._next_s = False, False, 0.0, 0.0
-        self._since: str | int | None = None
-        self._mixed: str | int | None = None
-        self._is_of_another = False
         self._thread: threading.Thread | None = None
         self._process: subprocess.Popen[str] | None = None
 
@@ -80,27 +77,14 @@ class Watch:
         """Time since the last finished look started [s]."""
         return time.monotonic() - self._began_s
 
-    def ended(self, trajectory: str | int | None = None) -> None:
+    def ended(self) -> None:
         """Note that a trajectory has ended, and look again, now or at the next call of `look`."""
-        if self._is_of_another:
-            if trajectory == self._mixed:
-                return
-            self._since, self._is_of_another = trajectory, False
         self._is_new = True
         self.look()
 
-    def anew(self, digest: str, in_progress: str | int | None) -> None:
-        """Watch another policy from the first trajectory on that it decides alone.
-
-        Parameters
-        ----------
-        digest
-            Its identifier.
-        in_progress
-            Trajectory in progress, which both policies decide; None if there is none.
-        """
-        self.digest, self._mixed = digest, in_progress
-        self._is_of_another, self._is_new, self.found = True, False, None
+    def anew(self, digest: str) -> None:
+        """Watch another policy, by its identifier."""
+        self.digest, self._is_new, self.found = digest, False, None
 
     def look(self) -> None:
         """Start a look at the log if there is news, no look is running, and one is due."""
@@ -111,13 +95,13 @@ class Watch:
             self._thread.start()
 
     def _look(self) -> None:
-        began_s, since = time.monotonic(), self._since
+        began_s, digest = time.monotonic(), self.digest
         found = self._asked()
         before = self.found or {}
         self._next_s = began_s + max(self.every_s, found.pop(WORK, 0.0) / MOST_WORK)
-        if self._is_of_another or since != self._since:
+        if digest != self.digest:
             return
-        self.found, self._began_s = found, began_s
+        self.found, self._began_s = found or None, began_s
         if found.get("is_alarm") and not before.get("is_alarm"):
             self.say(found["sentence"])
         if "error" in found and "error" not in before and not self._is_over:
@@ -125,7 +109,6 @@ class Watch:
 
     def _asked(self) -> dict[str, Any]:
         words = [sys.executable, "-m", __name__, str(self.policy), str(self.logs), self.digest]
-        words += [] if self._since is None else [str(self._since)]
         alone = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         pipes: Any = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         try:
@@ -138,21 +121,23 @@ class Watch:
         return json.loads(text)
 
 
-def found_of(policy: Path, logs: Path, digest: str = "", since: str | None = None) -> dict[str, Any]:
-    """Result of `halfseen monitor --json`, with figures if matplotlib is installed; or an error in one line."""
+def found_of(policy: Path, logs: Path, digest: str = "") -> dict[str, Any]:
+    """Result of `halfseen monitor --json`, with figures if matplotlib is installed; or an error in one line.
+
+    Empty before the policy has decided a trajectory of the log.
+    """
     from halfseen.logs import read_logs
-    from halfseen.logs.joining import since as later
     from halfseen.monitoring.monitor import monitored
     from halfseen.policies.folder import read_policy
-    from halfseen.serving.in_service import digest_of
 
     try:
         stored = read_policy(policy)
-        if digest not in ("", digest_of(stored)):
+        if digest not in ("", stored.digest):
             return {"error": f"{policy} holds a different policy than the one in use; POST /reload to use it"}
         read = read_logs(logs, missing=stored.missing())
-        read = read if since is None else later(read, since)
         found = monitored(stored, read)
+    except NothingRecordedError:
+        return {}
     except HalfseenError as error:
         return {"error": str(error)}
     if find_spec("matplotlib") is None:
@@ -212,4 +197,4 @@ class Recent:
         )
         self.trajectories.appendleft(recorded)
         if self.watch is not None:
-            self.watch.ended(recorded.trajectory)
+            self.watch.ended()

@@ -31,7 +31,7 @@ def figures_of(found: Monitored, unit: str | None) -> dict[str, Markup]:
     if found.course is not None and found.outcomes is not None:
         title = "Mean reward of a trajectory so far, with bounds that hold at all times, and the promised reward"
         figures[title] = inline_svg(partial(_draw_earned, found, unit), "f-earned", title)
-    title = "Evidence for a change: the smaller the p-value, the stronger; below its line, a family alarms"
+    title = "Evidence for a change: an alarm where a curve falls below its dotted line"
     figures[title] = inline_svg(partial(_draw_evidence, found), "f-evidence", title)
     return figures
 

@@ -1,5 +1,6 @@
 """Reading of learned policies; a policy that was read decides identically, to the last bit."""
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from halfseen.lazy import Frame
 from halfseen.policies.decision import LASTING_ERROR, QError
 from halfseen.policies.folder.files import ARRAYS, RECORD, read_files
 from halfseen.policies.folder.kinds import FLAT, PolicyKind, laid_out
-from halfseen.policies.folder.record import from_json
+from halfseen.policies.folder.record import as_json, from_json
 from halfseen.policies.ranges import Range, refuse_outside
 from halfseen.shapes import Bool
 
@@ -63,6 +64,14 @@ class StoredPolicy:
     def counts_views(self) -> bool:
         """Whether it was learned from logs that count how much of an object has been in view."""
         return self.is_table and self.record["schema"].get("counts_views", False)
+
+    @property
+    def digest(self) -> str:
+        """Identifier: the first 12 digits of the SHA-256 of its record and its numbers."""
+        digest = hashlib.sha256(as_json(self.record))
+        for name, array in sorted(kind_named(self.record["kind"]).arrays_of(self.policy).items()):
+            digest.update(name.encode() + array.tobytes())
+        return digest.hexdigest()[:12]
 
     @property
     def whom(self) -> str:

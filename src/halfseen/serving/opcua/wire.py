@@ -65,6 +65,8 @@ class Wire:
     password: str | None = None
     tell: Callable[[str], object] = _tell
     facts: Wired = field(init=False)
+    _written: int | None = field(default=None, init=False)
+    """Number of the request that was answered last; None before the first look."""
 
     def __post_init__(self) -> None:
         self.facts = Wired(self.url, "Preoperational", None, None)
@@ -163,6 +165,9 @@ class Wire:
         """Answer a request unless it is already answered."""
         request = seen.whole("request")
         if request in (0, seen.values["decision"]):
+            if self._written is not None and request > self._written:
+                raise Refusal(409, "a request was answered by somebody else; let one halfseen answer a controller")
+            self._written = request
             return
         action = self._decided_before(request, seen)
         if action is None:
@@ -170,6 +175,7 @@ class Wire:
             action = None if seen.ending else await self._decide(request, seen)
         if action is not None:
             await controller.write({"action": self.mapping.code_of(action)})
+        self._written = request
         await controller.write({"decision": request})
 
     def _last_decision(self) -> int | None:
@@ -182,8 +188,9 @@ class Wire:
         facts, last = self.recording.facts, self.recording.last
         if request != self._last_decision() or facts.waits_for != "reward" or seen.ending or last is None:
             return None
-        # What was missing, as null or NaN, is filled in in the log.
-        given = {name: value for name, value in seen.covariates.items() if value is not None and value == value}
+        # What was missing, as null or NaN, is filled in in the log; what the log never had is left out of it.
+        known = {name: value for name, value in seen.covariates.items() if name in last}
+        given = {name: value for name, value in known.items() if value is not None and value == value}
         is_same = facts.stage == seen.whole("stage") and given.items() <= last.items()
         return facts.action if is_same else None
 
