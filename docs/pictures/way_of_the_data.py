@@ -14,6 +14,7 @@ KINDS = {
     "#f3edf8": "what decides, what it is worth, what people read",
 }
 WIDTH_PX, BOX_PX, STEP_PX, LETTERS = 572, (258, 106), (286, 138), 34
+HEAD_LETTERS, MAKES_LOWER_PX = 30, 39
 MARGIN_PX, TOP_PX, COLUMNS, LEGEND_PX = 14, 66, 2, 24
 PASSED_OVER = {
     "workers",
@@ -92,11 +93,12 @@ def _text(x: float, y: float, size: float, words: str, colour: str = INK, **more
 
 def _drawn_box(box: Box, x: int, y: int) -> list[str]:
     width, height = BOX_PX
-    fill = list(KINDS)[box.colour]
+    fill, makes = list(KINDS)[box.colour], f"→ {box.makes}"
+    is_long = len(box.folders) + len(makes) > HEAD_LETTERS
     return [
         f'<rect x="{x}" y="{y}" width="{width}" height="{height}" rx="8" fill="{fill}" stroke="{EDGE}"/>',
         _text(x + 10, y + 24, 16, box.folders, font_weight="700"),
-        _text(x + width - 10, y + 24, 13.5, f"→ {box.makes}", SOFT, text_anchor="end"),
+        _text(x + width - 10, y + 24 + MAKES_LOWER_PX * is_long, 13.5, makes, SOFT, text_anchor="end"),
         *(_text(x + 10, y + 46 + 17 * row, 14, line) for row, line in enumerate(wrap(box.holds, LETTERS))),
         _text(x + 10, y + 95, 13.5, f"new here: {box.new}", NEW, font_style="italic"),
     ]

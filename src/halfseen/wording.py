@@ -10,10 +10,12 @@ from halfseen.evaluation.estimate import Estimate
 MISSING = "–"
 SUPPORTED, NOT_SUPPORTED, INCONCLUSIVE = "supported", "not supported", "inconclusive"
 MOST_DECIMALS = 6
+SMALLEST_PLAIN, LARGEST_PLAIN = 1e-4, 1e6
+"""Beyond these, a number has more digits than a reader takes in: a power of ten is written."""
 _LARGEST_DENOMINATOR = 12
 _SMALLEST_PLAIN_P = 1e-4
 _SMALLEST_P = 1e-300
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _IN_WORDS = {"1/2": "half", "1/3": "a third", "2/3": "two thirds", "1/4": "a quarter", "1/6": "a sixth"}
 
 
@@ -36,13 +38,14 @@ def significant(value: float | None, num_digits: int = 3) -> str:
 
     Examples
     --------
-    >>> significant(-12.3456), significant(1234.5), significant(float("nan"))
-    ('−12.3', '1,234', '–')
+    >>> significant(-12.3456), significant(1234.5), significant(12263681070.0), significant(float("nan"))
+    ('−12.3', '1,234', '1.23e+10', '–')
     """
     if value is None or not math.isfinite(value) or value == 0:
         return "0" if value == 0 else MISSING
     decimals = max(num_digits - 1 - math.floor(math.log10(abs(value))), 0)
-    text = f"{value:,.{decimals}f}" if decimals <= MOST_DECIMALS else f"{value:.{num_digits - 1}e}"
+    is_plain = decimals <= MOST_DECIMALS and abs(value) < LARGEST_PLAIN
+    text = f"{value:,.{decimals}f}" if is_plain else f"{value:.{num_digits - 1}e}"
     return text.replace("-", "−")
 
 
@@ -63,14 +66,20 @@ def with_interval(value: float, low: float, high: float) -> tuple[str, str]:
 
     Examples
     --------
-    >>> with_interval(9.8765, 9.4, 10.35)
-    ('9.88', '9.40 to 10.35')
+    >>> with_interval(9.8765, 9.4, 10.35), with_interval(1.42e-7, 1.01e-7, 1.93e-7)
+    (('9.88', '9.40 to 10.35'), ('1.42e−07', '1.01e−07 to 1.93e−07'))
     """
     width = high - low
     if not (math.isfinite(value) and math.isfinite(width)):
         return significant(value), MISSING
-    decimals = 2 if width == 0 else min(max(1 - math.floor(math.log10(width)), 0), MOST_DECIMALS)
-    return amount(value, decimals), interval(low, high, decimals)
+    largest = max(abs(value), abs(low), abs(high))
+    is_plain = largest == 0 or SMALLEST_PLAIN <= largest < LARGEST_PLAIN
+    power = 0 if is_plain else math.floor(math.log10(largest))
+    decimals = 2 if width == 0 else min(max(1 + power - math.floor(math.log10(width)), 0), MOST_DECIMALS)
+    if is_plain:
+        return amount(value, decimals), interval(low, high, decimals)
+    written = [f"{amount(each / 10.0**power, decimals)}e{power:+03d}".replace("-", "−") for each in (value, low, high)]
+    return written[0], f"{written[1]} to {written[2]}"
 
 
 def percent(share: float | None) -> str:
@@ -112,9 +121,9 @@ def p_value(value: float) -> str:
     if value >= _SMALLEST_PLAIN_P:
         return f"{value:.{max(2, 1 - math.floor(math.log10(value)))}f}"
     if value < _SMALLEST_P:
-        return "< 10" + str(round(math.log10(_SMALLEST_P))).translate(_SUPERSCRIPTS)
+        return "< 10" + str(round(math.log10(_SMALLEST_P))).translate(SUPERSCRIPTS)
     mantissa, exponent = f"{value:.1e}".split("e")
-    return f"{mantissa} × 10" + str(int(exponent)).translate(_SUPERSCRIPTS)
+    return f"{mantissa} × 10" + str(int(exponent)).translate(SUPERSCRIPTS)
 
 
 def with_unit(number: str, unit: str | None) -> str:

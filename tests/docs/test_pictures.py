@@ -3,10 +3,13 @@
 import io
 import re
 import tomllib
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import text_to_path
 from PIL import Image, ImageSequence
 
 from halfseen.cell import film
@@ -139,6 +142,19 @@ def test_pictures_are_alike_where_nobody_sees_a_difference():
         assert are_alike(kept, drawn(a_line(1.0 + 1e-6), kind))
         assert not are_alike(kept, drawn(a_line(1.3), kind))
         assert not are_alike(kept, drawn(a_line(words="another line"), kind))
+
+
+def test_words_on_one_line_of_the_folders_do_not_run_into_one_another():
+    told = re.compile(r'<text x="([\d.]+)" y="([\d.]+)" font-size="([\d.]+)" fill="[^"]+"([^>]*)>([^<]+)<')
+    lines = {}
+    for x, y, size, more, words in told.findall(way_of_the_data.draw().decode()):
+        font = FontProperties(family="DejaVu Sans", size=float(size), weight="bold" if "700" in more else "normal")
+        width = text_to_path.get_text_width_height_descent(words, font, False)[0]
+        begin = float(x) - (width if 'text-anchor="end"' in more else 0.0)
+        lines.setdefault(y, []).append((begin, begin + width, words))
+    for line in lines.values():
+        for one, other in pairwise(sorted(line)):
+            assert one[1] < other[0], (one, other)
 
 
 def test_boxes_are_folders_of_the_package_and_commands_ask_for_extras_that_there_are():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from drawn_tables import Can, draw
+from drawn_tables import Can, K, draw
 from halfseen.perception import XTION, Cloud, DepthSensor, perceive
 from halfseen.perception.labels import pixel_colours
 from halfseen.perception.picture import COLOURS, DOTS_PER_INCH, THUMBNAIL_INCHES, thumbnail
@@ -118,3 +118,13 @@ def test_pixels_have_their_own_colours_or_that_of_their_nearest_point(wall):
         which = np.argmin(np.linalg.norm(points - image.points_m[row, column], axis=1))
         np.testing.assert_array_equal(seen[row, column], colours[which])
     assert not seen[~image.is_return].any()
+
+
+@pytest.mark.parametrize("lost", [0.5, 0.7, 0.9])
+def test_a_grid_that_lost_most_of_its_returns_shows_the_same_objects(lost):
+    """At 0.7 no surface held together, and the table was said to be empty."""
+    drawn = draw(Can(-0.1, 0.0), Can(0.1, 0.05), Can(0.0, -0.1))
+    depth = np.where(np.random.default_rng(0).random(drawn.depth_m.shape) < lost, np.nan, drawn.depth_m)
+    view = perceive(Cloud.from_depth(depth, K, "holes"))
+    assert view.image.is_virtual
+    assert sorted(round(seen.height_m, 2) for seen in view.objects) == pytest.approx([0.1] * 3, abs=0.011)

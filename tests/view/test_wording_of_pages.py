@@ -23,7 +23,15 @@ from halfseen.wording import (
 
 
 def test_amounts_shares_lists_and_sentences_read_as_such():
-    amounts = {0.0: "0", -0.0297: "−0.0297", 12345.6: "12,346", 1e-9: "1.00e−09", None: "–", math.inf: "–"}
+    amounts = {
+        0.0: "0",
+        -0.0297: "−0.0297",
+        12345.6: "12,346",
+        1.2e12: "1.20e+12",
+        1e-9: "1.00e−09",
+        None: "–",
+        math.inf: "–",
+    }
     assert {value: significant(value) for value in amounts} == amounts
     # A share that is not quite none or all does not read so.
     told = [percent(share).replace("\u00a0", " ") for share in (0.0, 0.001, 0.5, 0.999, 1.0)]
@@ -40,6 +48,9 @@ def test_amounts_shares_lists_and_sentences_read_as_such():
         ((0.0004, -0.012, 0.013), ("0.000", "−0.012 to 0.013")),
         ((-1234.0, -2000.0, -400.0), ("−1,234", "−2,000 to −400")),
         ((3.0, 3.0, 3.0), ("3.00", "3.00 to 3.00")),
+        ((1.42e-7, 1.01e-7, 1.93e-7), ("1.42e−07", "1.01e−07 to 1.93e−07")),
+        ((12263681070.0, 12218724933.0, 12308637206.0), ("1.2264e+10", "1.2219e+10 to 1.2309e+10")),
+        ((3.0, 3.0 - 1e-9, 3.0 + 1e-9), ("3.000000", "3.000000 to 3.000000")),
         ((1.0, -math.inf, math.inf), ("1.00", "–")),
         ((math.nan, math.nan, math.nan), ("–", "–")),
     ],

@@ -43,7 +43,7 @@ CUT_INK = "#a84a00"
 SIZE_INCHES = (12.0, 4.2)
 PANEL_INCHES, TALL_INCHES = (4.1, 3.25), (4.1, 6.75)
 """Of a single panel; the weights over time need more height."""
-PANEL_TITLE_CHARS = 46
+PANEL_TITLE_CHARS, MOST_LETTERS = 46, 16
 
 
 class PositivityReport(PositivityFacts):
@@ -255,7 +255,7 @@ def _draw_weights(axes: Axes, facts: PositivityFacts, title_chars: int = 66) -> 
         heavy = facts.heaviest[0]
         is_late = heavy.time_s > np.mean(axes.get_xlim())
         axes.annotate(
-            f"trajectory {heavy.trajectory}: {heavy.weight:.3g}",
+            f"trajectory {textwrap.shorten(str(heavy.trajectory), MOST_LETTERS, placeholder='…')}: {heavy.weight:.3g}",
             (heavy.time_s, heavy.weight),
             xytext=(-7 if is_late else 7, 0),
             textcoords="offset points",

@@ -63,6 +63,24 @@ class DisparitySensor:
         return np.maximum(self.smallest_noise_m, self.noise_at_one_metre_m * np.square(depth_m))
 
 
+@dataclass(frozen=True)
+class NoisierSensor:
+    """A depth camera that errs more than it is said to, by the same factor at any depth.
+
+    Parameters
+    ----------
+    sensor, factor
+        The camera as it is said to be, and the factor of its noise.
+    """
+
+    sensor: DepthSensor
+    factor: float
+
+    def noise_m(self, depth_m: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+        """Return the standard deviation of a depth [m]."""
+        return self.factor * self.sensor.noise_m(depth_m)
+
+
 XTION = DisparitySensor(noise_at_one_metre_m=0.003, smallest_noise_m=0.001)
 """The Asus Xtion and similar cameras such as the first Kinect, with coefficients measured by
 [KhoshelhamOudeElberink2012]_, rounded up for edges and dark surfaces."""

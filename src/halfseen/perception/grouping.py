@@ -66,9 +66,8 @@ HANDLE_SHARE = 0.4
 SMALLEST_OBJECT_M2 = 3.5e-4
 # Lower objects are print, cloth or cards [m].
 LOWEST_TOP_M = 0.011
-# An object is cut if its contact with the image border is longer than this share of the square root of its area [1].
-CUT_SHARE = 0.5
-BORDER_PX = 3
+# An object is cut if the image border touches it along this share of its width, or of the square root of its area.
+CUT_SHARE, BORDER_PX = 0.5, 3
 # Largest numbers of pieces and of joint fits; crowded tables have a dozen of either. Stripes, checks and noise have
 # hundreds, and fits take time.
 MOST_PIECES, MOST_JOINT_FITS = 150, 100
@@ -345,5 +344,7 @@ def _is_object(pixels: Pixels, piece: _Piece, image: RangeImage) -> bool:
 
 def _is_cut(pixels: Pixels, shape: tuple[int, int]) -> bool:
     at = np.stack(np.divmod(pixels, shape[1]))
-    is_in_frame = ((at < BORDER_PX) | (at >= np.array(shape)[:, None] - BORDER_PX)).any(axis=0)
-    return float(is_in_frame.sum()) / BORDER_PX > CUT_SHARE * float(np.sqrt(len(pixels)))
+    contact_px = ((at < BORDER_PX) | (at >= np.array(shape)[:, None] - BORDER_PX)).sum(axis=1) / BORDER_PX
+    # Long things, such as arms, touch the border with their whole width.
+    width_px = np.minimum(np.ptp(at, axis=1)[::-1] + 1.0, np.sqrt(len(pixels)))
+    return bool((contact_px > CUT_SHARE * width_px).any())

@@ -9,6 +9,7 @@ from skimage.measure import label as measure_label
 
 from halfseen.arrays import Image, Rows
 from halfseen.errors import CloudError
+from halfseen.perception.floating import is_floating
 from halfseen.perception.plane import Plane, is_on_plane
 from halfseen.perception.range_image import Pixels, RangeImage
 from halfseen.shapes import Bool, Float, Int
@@ -16,8 +17,9 @@ from halfseen.shapes import Bool, Float, Int
 # Lower points are table (cloth, lens distortion) [m]; so are points lower than this many standard deviations of noise.
 LOWEST_OBJECT_M = 0.008
 LOWEST_OBJECT_SIGMAS = 2.0
-# Higher points are not objects on a table (lamps, people) [m].
-HIGHEST_OBJECT_M = 0.5
+# Higher points are not objects on a table (lamps, people) [m]; a sheet that reaches so close to them goes on above, as
+# a robot's arm does.
+HIGHEST_OBJECT_M, LIMIT_REACH_M = 0.5, 0.015
 # Neighbouring pixels with a larger depth step show different surfaces; a wall seen at 80° steps by 6 px widths [m].
 DEPTH_STEP_M = 0.008
 DEPTH_STEP_SIGMAS = 3.0
@@ -55,7 +57,8 @@ def sheets_on_table(image: RangeImage, plane: Plane) -> Labels:
     Returns
     -------
     Labels
-        Sheet of each pixel, from 0, largest first; `NO_OBJECT` where there is none, `LEFT_OUT` beside the table.
+        Sheet of each pixel, from 0, largest first; `NO_OBJECT` where there is none, `LEFT_OUT` beside the table,
+        above free space, or of what goes on above `HIGHEST_OBJECT_M`.
 
     Raises
     ------
@@ -74,8 +77,12 @@ def sheets_on_table(image: RangeImage, plane: Plane) -> Labels:
     right, away, is_inside = *np.ascontiguousarray(across.T), np.ones(len(across), dtype=bool)
     for a, b, c in hull:
         is_inside &= a * right + b * away + c < OVERHANG_M
-    share = np.bincount(sheet[is_inside], minlength=int(sheets.max()) + 1) / np.maximum(np.bincount(sheet), 1)
-    is_kept = np.append(share >= SMALLEST_SHARE_ON_TABLE, False)
+    count, num_inside = np.bincount(sheet), np.bincount(sheet[is_inside], minlength=int(sheets.max()) + 1)
+    is_at_limit = height_m[is_sheet] > HIGHEST_OBJECT_M - LIMIT_REACH_M
+    num_at_limit = np.bincount(sheet[is_at_limit], minlength=len(count))
+    is_kept = (num_inside >= SMALLEST_SHARE_ON_TABLE * count) & (num_at_limit < FEWEST_COARSE_PX)
+    is_kept &= ~is_floating(pixels_of(sheets), height_m, plane, image)
+    is_kept = np.append(is_kept, False)
     table = np.where(is_kept, np.cumsum(is_kept) - 1, LEFT_OUT)
     table[-1] = NO_OBJECT
     return table[sheets]

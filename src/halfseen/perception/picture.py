@@ -3,6 +3,7 @@
 import io
 import os
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +22,7 @@ MASK_OPACITY = 0.75
 # Smaller shares get no arrow, to avoid clutter.
 SMALLEST_ARROW_SHARE = 0.02
 DOTS_PER_INCH = 150
+MOST_LETTERS = 84  # a line of the sentence above the picture
 WIDTH_INCHES = 9.0
 THUMBNAIL_INCHES = (5.2, 3.9)
 THUMBNAIL_NUMBERS = 21.0
@@ -46,7 +48,11 @@ def sentence(view: View) -> str:
     hider = int(np.argmax(view.hides[worst.id]))
     is_other = hidden_by_others(view, worst) > view.hides[worst.id, hider]
     by = "something cut by the image border or beside the table" if is_other else f"object {hider}"
-    return f"{start}; object {worst.id} is hidden most, by {by} ({worst.occlusion:.2f})."
+    own = hidden_by_others(view, worst) if is_other else float(view.hides[worst.id, hider])
+    whole, most = f"{worst.occlusion:.2f}", f"{own:.2f}"
+    if whole == most:
+        return f"{start}; object {worst.id} is hidden most, by {by} ({whole})."
+    return f"{start}; object {worst.id} is hidden most ({whole}), above all by {by} ({most})."
 
 
 def draw(view: View, path: str | os.PathLike[str]) -> None:
@@ -69,8 +75,9 @@ def draw(view: View, path: str | os.PathLike[str]) -> None:
     num_rows, num_columns = view.labels.shape
     figure = Figure(figsize=(WIDTH_INCHES, WIDTH_INCHES * num_rows / num_columns + 1.1), dpi=DOTS_PER_INCH)
     draw_view(figure.add_axes((0.0, 0.06, 1.0, 0.86)), view)
-    figure.text(0.5, 0.985, sentence(view), ha="center", va="top", fontsize=13)
-    figure.text(0.5, 0.02, _legend(view), ha="center", va="bottom", fontsize=9)
+    lines = "\n".join(wrap(sentence(view), MOST_LETTERS))
+    figure.text(0.5, 0.985, lines, ha="center", va="top", fontsize=13)
+    figure.text(0.5, 0.02, _legend(view), ha="center", va="bottom", fontsize=8.5)
     write_file(Path(path), _png(figure))
 
 
@@ -189,4 +196,4 @@ def _legend(view: View) -> str:
     if np.any(view.hides >= SMALLEST_ARROW_SHARE):
         parts.append("arrow: from the hiding object to the hidden one")
     parts.append("white: no return")
-    return "   |   ".join(parts)
+    return "  |  ".join(parts)

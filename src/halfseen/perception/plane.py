@@ -23,6 +23,8 @@ NEIGHBOURHOOD_SHARE = 0.12
 # Largest distance of an inlier: this many standard deviations, but at least the distortion of cheap lenses [m].
 INLIER_SIGMAS = 2.0
 SMALLEST_TOLERANCE_M = 0.005
+# Points farther below a plane are not its noise [standard deviations]; half of a normal error is less than the last.
+MOST_NOISE_SIGMAS, NORMAL_MEDIAN = 8.0, 0.6745
 # Planes are removed one by one until one has less than this share of the returns.
 SMALLEST_PLANE_SHARE = 0.04
 MOST_PLANES = 6
@@ -263,6 +265,21 @@ def _area_m2(plane: Plane, points: Points) -> float:
     cell_m = 0.02
     right, away = np.floor(plane.axes() @ points.T / cell_m).astype(np.int64)
     return len(np.unique((right - right.min()) * (np.ptp(away) + 1) + away - away.min())) * cell_m**2
+
+
+def noise_factor(plane: Plane, image: RangeImage) -> float:
+    """Noise of the depths on a plane, as a multiple of what the camera is said to have, by the points below it.
+
+    Parameters
+    ----------
+    plane, image
+        The table and the range image.
+    """
+    with np.errstate(invalid="ignore"):
+        error_m = plane.height_m(image.points_m) * image.depth_m / abs(plane.offset_m)
+        below = -(error_m / image.noise_m)
+        below = below[(below > 0) & (below < MOST_NOISE_SIGMAS)]
+    return float(np.median(below) / NORMAL_MEDIAN) if len(below) else 1.0
 
 
 def is_on_plane(height_m: Image, image: RangeImage) -> PixelMask:

@@ -31,7 +31,8 @@ LARGEST_VIRTUAL_SIDE_PX = 1280
 NEARLY_ALL_PERCENT, STRAY_SHARE = (0.1, 99.9), 0.1
 # Of the returns in a row or column, at least this share has another as neighbour. On a grid of rays, .98 have; points
 # that were thinned at random or by voxels leave gaps, and pixels are widened by this factor until the gaps close.
-NEIGHBOUR_SHARE, WIDENING = 0.95, 1.25
+# A grid of an organised cloud with fewer neighbours than the last has too many holes for surfaces to hold together.
+NEIGHBOUR_SHARE, WIDENING, FEWEST_NEIGHBOURS = 0.95, 1.25, 0.65
 
 PixelPoints = Float[np.ndarray, "H W 3"]
 PixelMask = Bool[np.ndarray, "H W"]
@@ -121,12 +122,13 @@ def _turned(points: Points, axes: Float[np.ndarray, "3 3"]) -> Points:
 
 
 def _organised(cloud: Cloud, sensor: DepthSensor, points: Points) -> RangeImage | None:
-    """Image on the cloud's own grid; None if it does not fit a pinhole camera (a wide lens, or another frame)."""
+    """Image on the cloud's own grid; None if that is not of a pinhole camera (a wide lens), or is full of holes."""
     assert cloud.shape is not None
     pinhole = _pinhole(cloud, points)
-    if not pinhole.is_camera:
+    is_return = np.isfinite(points[:, 2])
+    if not (pinhole.is_camera and _is_filled(is_return.reshape(cloud.shape), FEWEST_NEIGHBOURS)):
         return None
-    pixel_of_point = np.where(np.isfinite(points[:, 2]), np.arange(len(points)), -1)
+    pixel_of_point = np.where(is_return, np.arange(len(points)), -1)
     image = _turned(points, pinhole.axes).reshape(*cloud.shape, 3)
     axes = cloud.camera_axes @ pinhole.axes
     return RangeImage(image, pinhole.intrinsics, pixel_of_point, axes, False, cloud.name, sensor)
@@ -180,20 +182,20 @@ def _pixel_grid(
         column, row = np.floor((slope - first[:, None]) / pitch).astype(np.int64)
         inside = np.flatnonzero((column >= 0) & (column < num_columns) & (row >= 0) & (row < num_rows))
         flat = (row * num_columns + column)[inside]
-        if _is_filled(flat, (num_rows, num_columns)):
+        is_return = np.zeros((num_rows, num_columns), dtype=bool)
+        is_return.ravel()[flat] = True
+        if _is_filled(is_return, NEIGHBOUR_SHARE):
             K = np.array([[1 / pitch, 0, -first[0] / pitch - 0.5], [0, 1 / pitch, -first[1] / pitch - 0.5], [0, 0, 1]])
             return (flat, inside), (num_rows, num_columns), K
         pitch *= WIDENING
 
 
-def _is_filled(flat: Pixels, shape: tuple[int, int]) -> bool:
-    """Whether the next pixel of a row or column with a return is nearly always the neighbour."""
-    is_return = np.zeros(shape, dtype=bool)
-    is_return.ravel()[flat] = True
+def _is_filled(is_return: PixelMask, least_share: float) -> bool:
+    """Whether this share of the pixels with a return has another as neighbour in its row, and in its column."""
     for image in (is_return, is_return.T):
         num_neighbours = np.count_nonzero(image[:, :-1] & image[:, 1:])
         num_others = np.count_nonzero(image) - np.count_nonzero(image.any(axis=1))
-        if num_neighbours < NEIGHBOUR_SHARE * num_others:
+        if num_neighbours < least_share * num_others:
             return False
     return True
 

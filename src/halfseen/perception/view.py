@@ -10,18 +10,18 @@ only objects that are certainly not cups.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import QhullError
 
 from halfseen.arrays import Hides, Points
 from halfseen.errors import CloudError
-from halfseen.perception.clouds import XTION, Cloud, DepthSensor, Vector
+from halfseen.perception.clouds import XTION, Cloud, DepthSensor, NoisierSensor, Vector
 from halfseen.perception.grouping import objects_of_sheets
 from halfseen.perception.objects import NO_OBJECT, Labels, pixels_of, sheets_on_table
 from halfseen.perception.occlusion import extended, occlusions
-from halfseen.perception.plane import Plane, find_table
+from halfseen.perception.plane import Plane, find_table, noise_factor
 from halfseen.perception.range_image import Pixels, RangeImage, range_image
 from halfseen.perception.solids import Hull, Vessel
 from halfseen.reading import reason_of
@@ -32,6 +32,8 @@ from halfseen.world.scene import Scene
 EXTENT_PERCENT = 1.0
 # An object that is not a vessel is upright if it is higher than this times its width.
 UPRIGHT_ASPECT = 1.0
+# Where the table itself shows more noise than this multiple of the camera's, the camera is taken to err as much.
+LARGEST_NOISE_FACTOR = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +131,7 @@ def perceive(cloud: Cloud, sensor: DepthSensor = XTION) -> View:
     cloud
         Cloud of one depth camera.
     sensor
-        The depth camera, for the noise of its depths.
+        The depth camera, for the noise of its depths; if the table shows clearly more, that counts.
 
     Returns
     -------
@@ -153,6 +155,9 @@ def perceive(cloud: Cloud, sensor: DepthSensor = XTION) -> View:
 def _perceived(cloud: Cloud, sensor: DepthSensor) -> View:
     image = range_image(cloud, sensor)
     plane = find_table(image)
+    if (factor := noise_factor(plane, image)) > LARGEST_NOISE_FACTOR:
+        image = replace(image, sensor=NoisierSensor(sensor, factor))
+        plane = find_table(image)
     labels, solids, num_cut = objects_of_sheets(sheets_on_table(image, plane), plane, image)
     solids = tuple(
         extended(i, solid, labels, plane, image) if isinstance(solid, Vessel) else solid

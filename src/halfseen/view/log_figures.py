@@ -127,9 +127,15 @@ def _markers(groups: Sequence[EndingRows]) -> list[dict[str, Any]]:
     return [stroke if group.name == FINISHED else cut | {"marker": next(shapes)} for group in groups]
 
 
+def _with_count(name: str, count: int) -> str:
+    """Fit a name and its count into the margin; the count is never left out."""
+    whole = fitted(f"{name} ({count:,})", NAME_INCHES, most_lines=3)
+    return whole if "…" not in whole else f"{fitted(name, NAME_INCHES, most_lines=2)}\n({count:,})"
+
+
 def draw_follow_up(shown: FollowUp) -> Figure:
     """Draw Ĝ, below it the ends of trajectories, and below these the numbers still under observation."""
-    names = [fitted(f"{name} ({len(ends_s):,})", NAME_INCHES, most_lines=3) for name, ends_s in shown.ends_s.items()]
+    names = [_with_count(name, len(ends_s)) for name, ends_s in shown.ends_s.items()]
     num_rows, num_lines = len(names), max(name.count("\n") + 1 for name in names)
     heights = [2.5, (0.24 if num_lines == 1 else NAME_LINE_INCHES * num_lines + 0.06) * num_rows + 0.1]
     figure = Figure(figsize=(NARROW_INCHES, sum(heights) + 0.9))

@@ -12,7 +12,7 @@ from halfseen.monitoring.answer import Monitored
 from halfseen.monitoring.monitor import ALPHAS
 from halfseen.view.page import MARK
 from halfseen.view.templates import rendered
-from halfseen.wording import counted, labelled, significant
+from halfseen.wording import as_sentence, counted, labelled, significant
 
 NAMES = {"rewards": "rewards", "promise": "promise", "inputs": "inputs", "parts": "parts of the cell"}
 COLOURS = {"rewards": OURS, "promise": ORANGE, "inputs": GREEN, "parts": PINK}
@@ -22,7 +22,8 @@ SMALLEST_P = 1e-12
 def monitor_page(found: Monitored, unit: str | None, command: str) -> str:
     """Write the page, including the command that makes it again."""
     content = {"mark": MARK, "found": found, "figures": figures_of(found, unit), "command": command}
-    return rendered("halfseen.view", "monitor.html.j2", content, counted=counted, significant=significant)
+    functions = {"as_sentence": as_sentence, "counted": counted, "significant": significant}
+    return rendered("halfseen.view", "monitor.html.j2", content, **functions)
 
 
 def figures_of(found: Monitored, unit: str | None) -> dict[str, Markup]:

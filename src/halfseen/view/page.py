@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from halfseen.errors import ArgumentError
 from halfseen.evaluation import Estimate
-from halfseen.figures import inline_svg
+from halfseen.figures import LINES, inline_svg
 from halfseen.policies.folder.specification import description
 from halfseen.policies.folder.stored import sources_in_words
 from halfseen.view import words
@@ -24,7 +24,7 @@ from halfseen.writing import refuse_unwritable, write_file
 
 MARK = '<meta name="generator" content="halfseen report">'
 MARKED_CHARS = 1000
-MOST_ROWS = 30
+MOST_ROWS, MOST_NAMED = 30, 6
 Drawing = tuple[str, list[Callable[[], Figure]]]  # the title of a figure, and its panels
 
 
@@ -66,7 +66,7 @@ def write_page(page: str, file: Path, *, overwrite: bool = False) -> None:
 def _content(findings: Findings, command: str) -> dict[str, Any]:
     """All variables of the template."""
     policy, log, positivity = findings.policy, findings.log, findings.log["positivity"]["text"]
-    actions = [] if policy is None else [str(name) for name in policy.record["schema"]["actions"]]
+    actions = [] if policy is None else _by_importance(policy)
     shown = [name for name in findings.timeline.stages["action"] if name != UNKNOWN_ACTION]
     colours = action_colours(list(dict.fromkeys([*actions, *(row["action"] for row in log["choices"]), *shown])))
     verdict, *rest = positivity.split("\n\n")[0].splitlines()
@@ -87,6 +87,7 @@ def _content(findings: Findings, command: str) -> dict[str, Any]:
         "figures": {name: _inlined(name, *drawing) for name, drawing in drawings.items()},
         "stages": list(zip(log["clock"], log["weights"], strict=True)),
         "most_rows": MOST_ROWS,
+        "most_named": MOST_NAMED,
         "positivity_verdict": verdict,
         "positivity_words": rest,
         "is_sampled": findings.timeline.num_rows < findings.timeline.num_trajectories,
@@ -106,6 +107,15 @@ def _log_drawings(findings: Findings, colours: dict[str, str], verdict: str) -> 
     return drawings
 
 
+def _by_importance(policy: PolicyFindings) -> list[str]:
+    """The policy's actions in their order; if there are more than colours, those that it takes most come first."""
+    names = [str(name) for name in policy.record["schema"]["actions"]]
+    if len(names) <= len(LINES):
+        return names
+    taken = {name: sum(row["num_states"] * row["policy"].get(name, 0.0) for row in policy.choices) for name in names}
+    return sorted(names, key=lambda name: -taken[name])
+
+
 def _policy_drawings(policy: PolicyFindings, colours: dict[str, str], unit: str | None) -> dict[str, Drawing]:
     drawings: dict[str, Drawing] = {}
     if drawn_actions(policy.choices):
@@ -116,7 +126,7 @@ def _policy_drawings(policy: PolicyFindings, colours: dict[str, str], unit: str 
         verbs = [partial(draw_table_map, policy.table_map, verb) for verb in policy.table_map.share]
         drawings["map"] = words.table_map_title(policy.table_map), verbs
     if policy.curves:
-        title = words.curves_title(policy.curves, bool(policy.record["learner"].get("pessimism")))
+        title = words.curves_title(policy.curves, colours)
         drawings["curves"] = title, [partial(draw_curves, policy.curves, colours, unit)]
     return drawings
 
@@ -199,7 +209,7 @@ def _left_out(policy: PolicyFindings, colours: dict[str, str]) -> str:
             len(covariates),
             "those that affect the choice most",
         ),
-        "actions": (sum(str(name) in colours for name in actions), len(actions), "the first"),
+        "actions": (sum(str(name) in colours for name in actions), len(actions), "those taken most"),
     }
     parts = [f"{shown} of {all_} {what}, {which}" for what, (shown, all_, which) in drawn.items() if shown < all_]
     return "".join(f"; {part}" for part in parts)
@@ -208,8 +218,9 @@ def _left_out(policy: PolicyFindings, colours: dict[str, str]) -> str:
 def _policy_words(policy: PolicyFindings) -> list[tuple[str, str]]:
     record = policy.record
     sources = sources_in_words(record)
+    said = [(name, words.with_minus(text)) for name, text in description(record)]
     return [
-        *description(record),
+        *said,
         ("chooses among", listed([str(name) for name in record["schema"]["actions"]])),
         ("learned from", record["log"]["sentence"].rstrip(".")),
         *([("logs", sources)] if sources else []),

@@ -1,13 +1,15 @@
 """Figures of a policy: its value, its actions in the states of a log, the values of actions, and maps."""
 
+import math
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, to_rgba
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, PercentFormatter
+from matplotlib.ticker import MaxNLocator, PercentFormatter, ScalarFormatter
 
 from halfseen import figures
 from halfseen.evaluation import Estimate, Evaluation
@@ -15,7 +17,7 @@ from halfseen.figures import INK, NARROW_INCHES, OURS, draw_grid, fitted, legend
 from halfseen.view.log_figures import LEGEND_INCHES, OTHERS_COLOUR
 from halfseen.view.policy_findings import PolicyMap, QCurve, TableMap
 from halfseen.view.words import gains_of, values_of
-from halfseen.wording import labelled, with_interval
+from halfseen.wording import SUPERSCRIPTS, labelled, with_interval
 
 BOUND_SPANS = 1.0  # how far beyond the other intervals that of importance sampling is drawn, in their spans
 VERDICT_COLOURS = {"better": OURS, "not better": figures.ALARM, "inconclusive": figures.SOFT}
@@ -26,9 +28,12 @@ NUM_COLUMNS = {1: 1, 2: 2, 3: 3, 4: 2, 5: 3, 6: 3, 7: 4, 8: 4, 9: 3}
 FEW_STATES = 20  # with fewer states, markers are hollow and lines thin
 LARGEST, SMALLEST = 90.0, 7.0  # areas of markers [pt²]
 MOST_TICKS = 8
+NUMBERS_INCHES = 2.1  # width beside the intervals, for what they say
+PLAIN_POWERS = (-3, 5)  # of ten: ticks of these need no power beside them
 LEGEND_COLUMNS = 5
 
-MAP_WIDTH_INCHES, MAP_INCHES, STRIP_INCHES, ROW_INCHES = 3.1, 3.2, 1.15, 0.26
+MAP_WIDTH_INCHES, MAP_INCHES = 3.1, 3.2
+STRIP_WIDTH_INCHES, STRIP_INCHES, ROW_INCHES = 4.6, 1.15, 0.26
 TINT = 0.42  # of a colour in an area; the rest is white, so that dots of the same colour stand out
 PANEL_NAME: Any = {"loc": "left", "fontsize": 10, "fontweight": "bold", "color": INK}
 DEEPENING = LinearSegmentedColormap.from_list("deepening", ["#f2f6fa", OURS, "#002c46"])
@@ -42,7 +47,7 @@ def draw_values(evaluation: Evaluation) -> Figure:
     # Names of differences take up to three lines.
     figure = Figure(figsize=(NARROW_INCHES, 2.45 + 0.625 * len(theirs) + 0.85 * len(gains)))
     values, gap = figure.subplots(2, 1, height_ratios=[3.0 + len(theirs), 1.4 * len(gains)])
-    figure.subplots_adjust(left=0.235, right=0.70, top=0.98, bottom=0.14, hspace=0.62)
+    figure.subplots_adjust(left=0.235, right=0.685, top=0.98, bottom=0.14, hspace=0.62)
     rows = {
         **{fitted(name, 1.6, most_lines=3): (value, figures.THEIRS, False) for name, value in theirs.items()},
         "learned, doubly robust": (evaluation.doubly_robust, OURS, True),
@@ -52,15 +57,14 @@ def draw_values(evaluation: Evaluation) -> Figure:
     core = [*theirs.values(), evaluation.doubly_robust, evaluation.fitted_q]
     _forest(values, rows, _limits(core, [evaluation.importance_sampling]))
     values.axvline(evaluation.logging.value, color=figures.FAINT, lw=1.0, zorder=0)
-    values.set_xlabel(labelled("mean reward of a trajectory", evaluation.reward_unit))
+    _name_axis(values.xaxis, "mean reward of a trajectory", evaluation.reward_unit)
     differences = {
         fitted(name, 1.6, most_lines=3): (gain, VERDICT_COLOURS[verdict], gain is evaluation.difference)
         for name, (gain, verdict) in gains.items()
     }
     _forest(gap, differences, _limits([gain for gain, _ in gains.values()], []))
     gap.axvline(0.0, color=INK, lw=1.0, ls=(0, (4, 3)), zorder=0)
-    over = labelled("gain: reward of the learned policy over the other's", evaluation.reward_unit)
-    gap.set_xlabel(f"{over}; dashed: no gain")
+    _name_axis(gap.xaxis, "gain over the other policy (dashed: none)", evaluation.reward_unit)
     return figure
 
 
@@ -77,6 +81,18 @@ def _limits(core: list[Estimate], others: list[Estimate]) -> tuple[float, float]
     return low - pad, high + pad
 
 
+def _name_axis(axis: Axis, quantity: str, unit: str | None, inches: float = math.inf) -> None:
+    """Name a quantity and its unit beside an axis; the power of ten of large and small ticks goes to the unit."""
+    largest = float(np.abs(axis.get_view_interval()).max())
+    power = math.floor(math.log10(largest)) if largest > 0 else 0
+    axis.set_major_formatter(ScalarFormatter(useOffset=False))
+    if not PLAIN_POWERS[0] <= power < PLAIN_POWERS[1]:
+        axis.set_major_formatter(lambda value, _: f"{value / 10.0**power:.4g}".replace("-", "−"))
+        unit = " ".join([f"10{str(power).translate(SUPERSCRIPTS)}", *([unit] if unit else [])])
+    name = labelled(quantity, unit)
+    axis.set_label_text(name if inches == math.inf else fitted(name, inches))
+
+
 def _forest(axes: Axes, rows: dict[str, tuple[Estimate, str, bool]], limits: tuple[float, float]) -> None:
     for place, (estimate, colour, is_bold) in enumerate(rows.values()):
         low, high = np.clip([estimate.low, estimate.high], *limits)
@@ -87,8 +103,9 @@ def _forest(axes: Axes, rows: dict[str, tuple[Estimate, str, bool]], limits: tup
         if limits[0] <= estimate.value <= limits[1]:
             axes.plot([estimate.value], [place], "o", color=colour, ms=8 if is_bold else 6)
         value, interval = with_interval(estimate.value, estimate.low, estimate.high)
+        whole = f"{value}  ({interval})"
         axes.annotate(
-            f"{value}  ({interval})",
+            f"{value}\n({interval})" if "\n" in fitted(whole, NUMBERS_INCHES, weight="bold") else whole,
             (1.03, place),
             xycoords=("axes fraction", "data"),
             va="center",
@@ -190,7 +207,7 @@ def draw_curves(curves: list[QCurve], colours: dict[str, str], unit: str | None 
     figure = Figure(figsize=(NARROW_INCHES, height))
     panels = figure.subplots(len(stages), len(names), sharex="col", sharey="row", squeeze=False)
     figure.subplots_adjust(
-        left=0.1, right=0.985, top=1 - (legend + 0.18) / height, bottom=0.52 / height, hspace=0.18, wspace=0.1
+        left=0.12, right=0.985, top=1 - (legend + 0.18) / height, bottom=0.52 / height, hspace=0.18, wspace=0.1
     )
     for curve in curves:
         axes = panels[stages.index(curve.stage), names.index(curve.covariate)]
@@ -201,7 +218,7 @@ def draw_curves(curves: list[QCurve], colours: dict[str, str], unit: str | None 
                 axes.fill_between(curve.values, low, high, color=colours[action], alpha=0.14, lw=0)
         axes.xaxis.set_major_locator(MaxNLocator(4))
     for row, stage in zip(panels, stages, strict=True):
-        row[0].set_ylabel(f"stage {stage}: {labelled('Q', unit or 'reward')}")
+        _name_axis(row[0].yaxis, f"stage {stage}: Q", unit or "reward", 1.7)
     for axes, name in zip(panels[-1], names, strict=True):
         axes.set_xlabel(fitted(name, 0.85 * NARROW_INCHES / len(names), most_lines=1))
     handles = [panels[0, 0].plot([], [], color=colours[action])[0] for action in actions]
@@ -218,8 +235,9 @@ def draw_map(shown: PolicyMap, colours: dict[str, str]) -> Figure:
     rows = [name for name in (*colours, *(one for one in shown.names if one not in colours)) if name in done]
     is_map = shown.up is not None
     height = MAP_INCHES if is_map else STRIP_INCHES + ROW_INCHES * len(rows)
-    figure = Figure(figsize=(MAP_WIDTH_INCHES * (1 if is_map else 2), height))
-    axes = figure.add_axes((0.2, 0.5 / height, 0.765, 1.0 - 0.82 / height))
+    width, left = (MAP_WIDTH_INCHES, 0.62) if is_map else (STRIP_WIDTH_INCHES, 1.24)
+    figure = Figure(figsize=(width, height))
+    axes = figure.add_axes((left / width, 0.5 / height, 0.965 - left / width, 1.0 - 0.82 / height))
     up = (-1.6, -0.6) if shown.up is None else (float(shown.up[0]), float(shown.up[-1]))
     _draw_areas(axes, shown, colours, up)
     for name in shown.names if is_map else rows:

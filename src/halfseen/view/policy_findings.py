@@ -27,11 +27,9 @@ from halfseen.workers import ALONE, Workers
 from halfseen.world.actions import TARGETED, ActionSpace
 
 MOST_STAGES, MOST_COVARIATES = 3, 4
-FEWEST_STATES = 10  # a stage with fewer states has no curves and no map
-NUM_POINTS = 41
+FEWEST_STATES, NUM_POINTS = 10, 41  # a stage with fewer states has no curves and no map
 MIDDLE = (0.05, 0.95)  # Q is shown between these quantiles of a covariate: beyond, it rests on few states
-SAME_COEFFICIENTS = 1e-6
-BAND_LEVEL = 0.95
+SAME_COEFFICIENTS, BAND_LEVEL = 1e-6, 0.95
 Band = Literal["bootstrap", "regression"]
 """Source of bands around Q: learning from resampled trajectories, or the standard errors in the policy's folder."""
 
@@ -75,7 +73,7 @@ class QCurve:
 
     `q` is Q of each possible action at the values of the covariate. `low` and `high` are 95 % bands around it, if there
     are any: from resampled trajectories (bootstrap), the central 95 % of Q; or from the errors of the regression, as in
-    `halfseen.policies.decision`.
+    `halfseen.policies.decision`. `taken` names the policy's action at each value.
     """
 
     stage: int
@@ -84,6 +82,7 @@ class QCurve:
     q: dict[str, Float[np.ndarray, " k"]]
     low: dict[str, Float[np.ndarray, " k"]] | None
     high: dict[str, Float[np.ndarray, " k"]] | None
+    taken: np.ndarray
 
     @property
     def sway(self) -> float:
@@ -155,7 +154,8 @@ def _curve(stored: StoredPolicy, replicates: Any, states: pd.DataFrame, stage: i
         return {str(policy.actions[k]): q[:, k] for k in np.flatnonzero(policy.is_possible[stage - 1])}
 
     known = [None, None] if bands is None else [by_name(band) for band in bands]
-    return QCurve(stage, covariate, values, by_name(policy.q_values(at, stage)), *known)
+    taken = policy.decide(at, stage).astype(str)
+    return QCurve(stage, covariate, values, by_name(policy.q_values(at, stage)), *known, taken=taken)
 
 
 def _regression_bands(
@@ -269,7 +269,7 @@ def _map_of(policy: DiscretePolicy, states: pd.DataFrame, stage: int, telling: l
         dots=dots[list(names)].to_numpy(dtype=np.float64),
         done=dots["action"].astype(str).to_numpy(dtype=object),
         middle={
-            name: f"{value:.3g}" if isinstance(value, float) else str(value)
+            name: f"{value:.3g}".replace("-", "−") if isinstance(value, float) else str(value)
             for name, value in middle.items()
             if name not in names
         },

@@ -1,7 +1,7 @@
 """The leading sentences of each section of the report, from the numbers."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -76,10 +76,10 @@ def answer(evaluation: Evaluation) -> tuple[str, str]:
     why, _, remedy = evaluation.reason.partition("; ")
     # A policy that was just named is not named again.
     said = f"{VERDICTS[evaluation.verdict].format(baselines)}: {why.replace(f' than {baselines}', '', 1)}."
-    return _with_minus(said), _with_minus(as_sentence(remedy)) if remedy else ""
+    return with_minus(said), with_minus(as_sentence(remedy)) if remedy else ""
 
 
-def _with_minus(words: str) -> str:
+def with_minus(words: str) -> str:
     """Write negative numbers as in figures and tables."""
     return re.sub(r"(?<![\w.])-(?=\d)", "−", words)
 
@@ -94,7 +94,7 @@ def standing(evaluation: Evaluation) -> str:
     if hourly is not None and hourly.policy is not None and hourly.logging is not None:
         ours, own = hourly.policy.per_hour, hourly.logging.per_hour
         value, within = with_interval(ours.value, ours.low, ours.high)
-        today = amount(own.value, len(value.partition(".")[2]))
+        today, _ = with_interval(own.value, ours.low, ours.high)
         parts.append(f"{with_unit(value, unit)} an hour ({within}), against {today} today")
     if not parts or not is_believed(evaluation):
         return ""
@@ -213,9 +213,9 @@ def timeline_title(shown: Timeline, log: Mapping[str, Any]) -> str:
     done = "No trajectory finished" if median_s is None else done
     if not cuts:
         return done
-    which = "that were cut" if len(cuts) == 1 else "with the most frequent cause of cuts"
-    ran = f"had run for {significant(cuts[0]['median_s'])}\u00a0s or less"
-    return f"{done}; half of those {which}, {cuts[0]['cause']}, {ran}"
+    cause = cuts[0]["cause"]
+    which = f"that were cut, all by {cause}" if len(cuts) == 1 else f"cut by {cause}, the most frequent cause"
+    return f"{done}; half of those {which}, had run for {significant(cuts[0]['median_s'])}\u00a0s or less"
 
 
 def follow_up_title(shown: FollowUp, log: Mapping[str, Any]) -> str:
@@ -254,12 +254,22 @@ def choices_title(choices: list[dict[str, Any]]) -> str:
     return f"In {percent(same)} of the states the policy would take the logged action{changed}"
 
 
-def curves_title(curves: list[QCurve], is_cautious: bool) -> str:
-    """What the curves show, and the values that the policy compares."""
-    names = listed(list(dict.fromkeys(curve.covariate for curve in curves)))
-    verb = "change" if " and " in names else "changes"
-    followed = "the highest line, where the log has enough data" if is_cautious else "the highest line"
-    return f"The value of each action as {names} {verb}: the policy takes {followed}"
+def curves_title(curves: list[QCurve], drawn: Collection[str]) -> str:
+    """What the curves of the drawn actions show, and how often the policy takes the highest."""
+    covariates = list(dict.fromkeys(curve.covariate for curve in curves))
+    verb = "changes" if len(covariates) == 1 else "change"
+    highest = float(np.mean([_takes_highest(curve, drawn) for curve in curves]))
+    others = " or is not drawn" if any(set(curve.q) - set(drawn) for curve in curves) else ""
+    elsewhere = f" in {percent(highest)} of these states, elsewhere one that the logs support better{others}"
+    where = "" if highest == 1 else elsewhere
+    return f"The value of each action as {listed(covariates)} {verb}: the policy takes the highest line{where}"
+
+
+def _takes_highest(curve: QCurve, drawn: Collection[str]) -> np.ndarray:
+    """Whether the policy's action has, at each value, the largest Q of the drawn actions."""
+    best = np.max([q for name, q in curve.q.items() if name in drawn], axis=0, initial=-np.inf)
+    own = [curve.q[name][k] if name in drawn else np.nan for k, name in enumerate(curve.taken)]
+    return np.array(own) >= best
 
 
 def map_title(maps: list[PolicyMap]) -> str:
