@@ -19,7 +19,7 @@ from halfseen.errors import ArgumentError, did_you_mean
 from halfseen.figures import drawn
 from halfseen.progress import Progress
 from halfseen.reading import NUMBERS, json_of, read_text, reason_of
-from halfseen.study.experiment import Experiment, PieceOf, Pieces, Tables
+from halfseen.study.experiment import Experiment, Piece, Pieces, Tables
 from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.report import StudyResults, report_of
 from halfseen.study.setting import Setting
@@ -132,35 +132,25 @@ def repetition(index: int) -> str:
     return f"repetition-{index:05d}"
 
 
-class ExperimentRun(NamedTuple):
+class Run(NamedTuple):
     """An experiment with its store and its number of repetitions."""
 
     experiment: Experiment
     store: Store
     num: int
 
-    def missing(self) -> list[int]:
-        """Repetitions that are still to be made."""
-        return [index for index in range(self.num) if not self.store.has(repetition(index))]
-
     def tabulated(self, setting: Setting) -> Tables:
         """Make the tables from the stored pieces; a resumed study keeps the times measured before it was killed."""
         repetitions = [self.store.read(repetition(index)) for index in range(self.num)]
-        measure = getattr(self.experiment, "measure", None)
-        measured = {} if measure is None else self.store.kept("measured", lambda: measure(setting))
+        measured = self.store.kept("measured", lambda: self.experiment.measure(setting))
         return self.experiment.tabulate(setting, Pieces(self.store.read(PREPARED), measured, repetitions))
 
 
-def run_all(
-    experiments: Sequence[Experiment], setting: Setting, stores: Sequence[Store], workers: Workers
-) -> list[Tables]:
+def run_all(runs: Sequence[Run], setting: Setting, workers: Workers) -> list[Tables]:
     """Run experiments, with repetitions made by workers.
 
     Times are measured while nothing else runs: at the end, when the timed code has been compiled.
     """
-    most = setting.repetitions
-    nums = [min(most, each.most_repetitions or most) for each in experiments]
-    runs = [ExperimentRun(*each) for each in zip(experiments, stores, nums, strict=True)]
     # Experiments with few repetitions, which are long, come first, so that all workers end together.
     in_order = sorted(runs, key=lambda run: run.num)
     with Progress(len(runs) * (1 + TABULATING), "study, prepare") as bar:
@@ -168,7 +158,7 @@ def run_all(
             left = [run for run in in_order if not run.store.has(PREPARED)]
             for number, piece in pool.each(methodcaller("prepare", setting), [run.experiment for run in left]):
                 left[number].store.keep(PREPARED, piece)
-            missing = [run.missing() for run in in_order]
+            missing = [[k for k in range(run.num) if not run.store.has(repetition(k))] for run in in_order]
             bar.begin("study", sum(1.0 - len(those) / run.num for run, those in zip(in_order, missing, strict=True)))
             todo = [(k, some) for k, those in enumerate(missing) for some in in_rows(those, pool.num_workers)]
             ready = [(run.experiment, run.store.read(PREPARED)) for run in in_order]
@@ -186,8 +176,8 @@ def run_all(
 
 
 def _repeated(
-    setting: Setting, ready: Sequence[tuple[Experiment, PieceOf]], some: tuple[int, Sequence[int]]
-) -> list[PieceOf]:
+    setting: Setting, ready: Sequence[tuple[Experiment, Piece]], some: tuple[int, Sequence[int]]
+) -> list[Piece]:
     """Make some repetitions of one of the experiments; the worker does not affect the results."""
     experiment, prepared = ready[some[0]]
     return [experiment.repeat(setting, prepared, index) for index in some[1]]
@@ -249,8 +239,12 @@ def run_study(
         The workers are unavailable.
     """
     with held_alone(folder / "progress", "study"):
-        stores = [store_of(each, setting, folder, is_resumed) for each in experiments]
-        tables = run_all(experiments, setting, stores, workers)
+        most = setting.repetitions
+        runs = [
+            Run(each, store_of(each, setting, folder, is_resumed), min(most, each.most_repetitions or most))
+            for each in experiments
+        ]
+        tables = run_all(runs, setting, workers)
         sections = {each.name: each.section(setting, of) for each, of in zip(experiments, tables, strict=True)}
         results = StudyResults(setting, tuple(experiments), tuple(tables), sections, versions())
         write_results(results, pictures or {}, folder)
