@@ -141,6 +141,13 @@ def test_another_seed_or_a_scene_of_the_same_name_and_other_content_is_another_s
         run(copied, setting=other, is_resumed=True)
 
 
+def test_pieces_of_before_are_of_another_study(copied):
+    file = copied / "progress" / "coin" / "design.json"
+    file.write_text(file.read_text().replace(' "format": 2,\n', ""))
+    with pytest.raises(ArgumentError, match="belongs to a study of another design, seed or version"):
+        run(copied, is_resumed=True)
+
+
 @pytest.mark.parametrize(("bias", "words"), [(0.5, "inconclusive"), (0.1, "not supported")])
 def test_a_claim_that_fails_is_said_to_fail(tmp_path, bias, words):
     assert f"beats a fair one: {words}" in run(tmp_path, Coin(bias=bias)).answer[0]

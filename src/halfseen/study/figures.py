@@ -56,7 +56,7 @@ def draw_figure(of: dict[str, Any], value: Value, text: Text, title: str) -> Fig
     """Draw a declared figure under a title: each panel once for each of its facets, but where a facet is None."""
     figure, facets = Figure(figsize=value(of["size"])), value(of.get("facets", [{}]))
     begin = pages.write_title(figure, title)
-    grid, top = dict(of["grid"]), begin - of["below"]
+    grid, top = {name: value(each) for name, each in of["grid"].items()}, begin - value(of["below"])
     if gap := grid.pop("gap", None):  # between two rows, as a fraction of the figure's height
         grid["hspace"] = 2.0 * gap / (top - grid["bottom"] - gap)
     shape = value(of.get("shape", (len(of["panels"]), len(facets))))
@@ -67,7 +67,7 @@ def draw_figure(of: dict[str, Any], value: Value, text: Text, title: str) -> Fig
         else:
             _draw_panel(axes, panel, facet, value, text)
     if legend := dict(of.get("legend", {})):
-        known, height = pages.named_curves(*panels[::-1]), begin - legend.pop("below")
+        known, height = pages.named_curves(*panels[::-1]), begin - value(legend.pop("below"))
         names = [value("labels")[key] for key in legend.pop("of", [])]
         pages.write_legend(figure, {name: known[name] for name in names or known if name in known}, height, **legend)
     return figure

@@ -29,6 +29,7 @@ from halfseen.writing import held_alone, write_file
 
 FINGERPRINT = "design.json"
 PREPARED = "prepared"
+FORMAT = 2  # of pieces; those of another are not read
 TABULATING = 0.1
 """Time for measuring and tabulating an experiment, relative to its repetitions; about the same for each of them."""
 MOST_AT_ONCE = 8  # repetitions that a worker makes in a row: short ones together take a few seconds
@@ -118,7 +119,7 @@ def store_of(experiment: Experiment, setting: Setting, folder: Path, is_resumed:
     # The fingerprint has the numbers of the law, not its location.
     fixed = asdict(setting) | {"law": setting.law is not None, "repetitions": None}
     design = design_of(experiment) | {"most_repetitions": None}
-    fingerprint = {"design": design, "setting": fixed, "versions": versions()}
+    fingerprint = {"design": design, "setting": fixed, "versions": versions(), "format": FORMAT}
     return Store(folder / "progress" / experiment.name, fingerprint, is_resumed)
 
 

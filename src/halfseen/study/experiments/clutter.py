@@ -183,6 +183,7 @@ class Clutter(Experiment):
             "label_share": label_share,
             "columns": columns,
             "worlds": worlds,
+            "height": 1.0 + 2.1 * len(worlds) / len(columns),
             "default": Place.of(setting.world),
             "sizes": {num: {"color": colour, "marker": mark, "label": f"{num} objects"} for num, colour, mark in looks},
         }
