@@ -3,16 +3,20 @@
 A repetition is a pure function of the configuration, the setting, the prepared results and its index. All four can be
 pickled, and the result is plain numbers. So repetitions may run in any order, in any process, on any machine.
 
-What is told is declared in a TOML file: the heading, the claims, the sentences, the figures and the tables for readers.
-Its texts are templates of Jinja, and its rows, cells and conditions are expressions of Jinja. Both know the tables by
-their names, ``design`` (the experiment), ``setting``, the experiment's own ``facts``, the claims, and the functions of
-`halfseen.wording` and `halfseen.study.compare`; cells also know the columns of their row.
+What is told is declared in TOML: the ``heading``, the ``sentences``, of which as many as ``leading`` open the report,
+``claims``, ``phrases`` and ``macros`` for use in texts, ``figures``, ``tables`` for readers, and ``nothing``, the
+sentence if there are no tables. ``looks`` has colour and label of each series; markers follow their order.
+
+Texts are templates of Jinja, and rows, cells and sizes are its expressions. Both know the tables by their names, the
+``design`` (the experiment), the ``setting``, what ``facts`` returns, ``names``, the claims and the phrases, and the
+functions of `halfseen.wording` and `halfseen.study.compare`; cells and headings also know the ``row`` and its columns.
 """
 
 import re
 import tomllib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache, partial
 from importlib.resources import files
 from typing import Any, ClassVar, NamedTuple, TypeAlias
@@ -90,6 +94,7 @@ class Section(NamedTuple):
     opening: Drawing | None = None
 
 
+@dataclass(frozen=True)
 class Experiment(ABC):
     """One question of the study: a frozen dataclass, whose fields are its configuration."""
 
@@ -97,8 +102,8 @@ class Experiment(ABC):
     """Name by which it is chosen and its pieces are kept."""
     told: ClassVar[str] = ""
     """TOML of what is told; by default the file beside the experiments that has its name."""
-    most_repetitions: int | None = None
-    """Largest number of repetitions; None for as many as the setting has."""
+    most_repetitions = None
+    """Largest number of repetitions, a field of most experiments; None for as many as the setting has."""
 
     def prepare(self, setting: Setting) -> Piece:
         """Compute once what all repetitions need."""

@@ -1,10 +1,13 @@
 """Figures of points with intervals, as declared: panels, in them layers of series, and the names of lines.
 
-A layer has ``rows`` (an expression), ``y`` (the columns of a value and the ends of its
-interval, or how all three begin), ``x`` (a column), and
-how to ``draw`` them: as a ``curve`` with a band, as ``bars``, as a plain ``line``, as a ``level`` across the panel, or
-as a ``name`` at its right end only. It may have a column of ``series`` and their order ``of``, drawn side by side by
-the factor ``dodge`` or the distance ``apart``.
+A figure has a ``size`` [inch], a ``grid`` that begins ``below`` its title, a ``shape`` unless its panels are one below
+the other, a ``legend``, and ``panels``, each drawn once for each of the figure's ``facets``. A panel has a ``title``, a
+name ``across``, a ``zero`` line, ticks at ``sizes`` on a logarithmic axis, whatever it shall ``set``, and ``layers``.
+
+A layer has ``rows`` (an expression), ``y`` (the columns of a value and the ends of its interval, or how all three
+begin), ``x`` (a column), and how to ``draw`` them: as a ``curve`` with a band, as ``bars``, as a plain ``line``, as a
+``level`` across the panel, or as a ``name`` at its right end only. It may have a column of ``series`` and their order
+``of``, drawn side by side by the factor ``dodge`` or the distance ``apart``.
 """
 
 import textwrap

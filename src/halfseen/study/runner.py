@@ -7,7 +7,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, is_dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from operator import methodcaller
 from pathlib import Path
@@ -118,14 +118,9 @@ def store_of(experiment: Experiment, setting: Setting, folder: Path, is_resumed:
     """Open the store of an experiment; more repetitions add pieces and change none."""
     # The fingerprint has the numbers of the law, not its location.
     fixed = asdict(setting) | {"law": setting.law is not None, "repetitions": None}
-    design = design_of(experiment) | {"most_repetitions": None}
+    design = asdict(experiment) | {"most_repetitions": None}
     fingerprint = {"design": design, "setting": fixed, "versions": versions(), "format": FORMAT}
     return Store(folder / "progress" / experiment.name, fingerprint, is_resumed)
-
-
-def design_of(experiment: Experiment) -> dict[str, Any]:
-    """The configuration of an experiment."""
-    return asdict(experiment) if is_dataclass(experiment) and not isinstance(experiment, type) else {}
 
 
 def repetition(index: int) -> str:
@@ -271,7 +266,7 @@ def _as_dict(results: StudyResults) -> dict[str, Any]:
     return {
         "answer": results.answer,
         "sentences": {name: section.sentences for name, section in results.sections.items()},
-        "experiments": {each.name: design_of(each) for each in results.experiments},
+        "experiments": {each.name: asdict(each) for each in results.experiments},
         "setting": {name: value for name, value in asdict(setting).items() if name not in ("scenes", "law")},
         "scenes": [
             {"name": scene.name, "hides": scene.hides, "grip": np.asarray(scene.grip)} for scene in setting.scenes
