@@ -30,6 +30,7 @@ from halfseen import wording
 from halfseen.study import compare
 from halfseen.study.compare import EFFECT, Frame, Row, gain_in, records
 from halfseen.study.figures import draw_figure, looks_of, shades
+from halfseen.study.policies import HEURISTICS, STRONGEST_RULE
 from halfseen.study.setting import CUT_KIND_NAMES, Setting
 from halfseen.wording import Claim
 
@@ -140,7 +141,8 @@ def _environment() -> jinja2.Environment:
     for module in (compare, wording):
         environment.globals |= {name: each for name, each in vars(module).items() if callable(each) or name.isupper()}
     functions = {each.__name__: each for each in (list, max, min, pd.notna, shades)}
-    environment.globals |= functions | {"np": np, "CUT_KIND_NAMES": CUT_KIND_NAMES}
+    rules = {"rules": [each.name for each in HEURISTICS], "logging_rule": STRONGEST_RULE.label}
+    environment.globals |= functions | rules | {"np": np, "CUT_KIND_NAMES": CUT_KIND_NAMES}
     environment.filters |= {name: each for name, each in vars(wording).items() if callable(each)}
     environment.filters["among"] = lambda key, names: names[key]
     return environment

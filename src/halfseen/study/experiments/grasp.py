@@ -132,10 +132,6 @@ class GraspModels(Experiment):
         bins = [line for cell, some in rows.groupby(CELL, sort=False) for line in _calibration(cell, some["bins"])]
         return {"grasp": grasp, "grasp_tests": adjusted(tests, setting.alpha), "figure5": pd.DataFrame(bins)}
 
-    def facts(self, setting: Setting, tables: Tables) -> dict[str, Any]:
-        """The label of the logging rule."""
-        return {"logging_rule": STRONGEST_RULE.label}
-
 
 class SuccessionRule:
     """The rule of succession, (1 + successes) / (2 + attempts), regardless of occlusion."""

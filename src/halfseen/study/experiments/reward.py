@@ -286,8 +286,6 @@ class Reward(Experiment):
         return {
             "best_rule": row_of(figure1, role=BEST[0])["policy"],
             "best_planner": row_of(figure1, role=BEST[1])["policy"],
-            "logging_rule": who.STRONGEST_RULE.label,
-            "rules": [each.name for each in HEURISTICS],
             "enough": grouped(self.cut_shares, lambda cut_share: sufficient(figure1, cut_share)),
             "verdicts": {name: grouped(records(table1, measure=name), compare.verdict_of) for name in MEASURES[:2]},
             "by_means": by_verdict(records(peer, cut_share=None)),
