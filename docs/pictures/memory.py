@@ -28,10 +28,11 @@ def _memory() -> Table:
 
 def draw_memory(rows: Table) -> Figure:
     """Draw it by the page's own class, under the title that the page's claim gives itself."""
-    names = names_after("another-figure", 0)
-    memory = names["Memory"]()
+    from halfseen.study import Setting
+
+    memory = names_after("another-figure", 0)["Memory"]()
     table = pd.DataFrame(rows)
-    drawing = memory.section(None, {"memory": table}).drawings[0]
+    drawing = memory.section(Setting(()), {"memory": table}).drawings[0]
     made = drawing.draw("")
     made.set_size_inches(4.8, 2.4)
     (axes,) = made.axes

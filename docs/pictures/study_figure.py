@@ -48,17 +48,16 @@ def repetitions_in(folder: Path) -> Table:
 
     rows: Table = []
     for file in sorted((folder / PIECES).glob("repetition-*.json")):
-        piece = json.loads(file.read_text(encoding="utf-8"))["piece"]
+        piece, at = json.loads(file.read_text(encoding="utf-8"))["piece"], {"repetition": int(file.stem.split("-")[1])}
         rows += [
-            {"policy": "censored_q", "num_trajectories": row["num_trajectories"], "cut_share": row["cut_share"]}
-            | {"repetition": piece["index"], "reward": row["reward"]}
-            for row in piece["learned"]
+            {name: row[name] for name in ("policy", "num_trajectories", "cut_share")} | at | {"reward": row["reward"]}
+            for row in piece["rows"]
+            if row["policy"] == "censored_q"
         ]
         rows += [
-            {"policy": name, "num_trajectories": 0, "cut_share": 0.0}
-            | {"repetition": piece["index"], "reward": beside["other"]["reward"]}
-            for name, beside in piece["baselines"].items()
-            if name in _RULES
+            {"policy": row["policy"], "num_trajectories": 0, "cut_share": 0.0} | at | {"reward": row["reward"]}
+            for row in piece["baselines"]
+            if row["policy"] in _RULES
         ]
     return rows
 

@@ -39,10 +39,6 @@ HUES = {"learned": OURS, "heuristics": THEIRS, "planners": PLANNER}
 MARKERS = "os^Dvp"
 BAND_OPACITY = 0.16
 _LEARNED_SHADES = LinearSegmentedColormap.from_list("learned", ["#002c4d", BLUE, "#6cb6e8"])
-_GREYS = ("#333333", "#6b6b6b", "#a0a0a0", "#c6c6c6", "#e6e6e6")
-_BLUES = ("#dfeefa", "#b3d7f3", "#7fbbe8", "#0068a8", "#003a5f")
-GAINS = LinearSegmentedColormap.from_list("gains", [*_GREYS, *_BLUES])
-"""From heuristics earning more to the learned policy earning more, in ten steps; white text on the outer 4."""
 
 POINTS = 9.5
 MOST_MARKERS = 3000

@@ -10,13 +10,11 @@ from attempt_logs import attempt_log
 from halfseen.cell.calibration.attempts import trials
 from halfseen.study.experiment import Pieces, Section
 from halfseen.study.experiments import EXPERIMENTS
-from halfseen.study.experiments.attempts import Attempts
-from halfseen.study.experiments.attempts_repetition import COMPLETED, VISIBLE_ONLY, source_of
-from halfseen.study.experiments.attempts_repetition import MODEL_NAMES as ATTEMPT_MODELS
+from halfseen.study.experiments.attempts import COMPLETED, VISIBLE_ONLY, Attempts, plain
+from halfseen.study.experiments.attempts_models import MODELS as ATTEMPT_MODELS
 from halfseen.study.experiments.censoring import Censoring
 from halfseen.study.experiments.clutter import Clutter
-from halfseen.study.experiments.clutter_places import table_of
-from halfseen.study.experiments.grasp import MODEL_NAMES, GraspModels
+from halfseen.study.experiments.grasp import MODELS, GraspModels
 from halfseen.study.experiments.planning import Planning
 from halfseen.study.experiments.regret import Regret
 from halfseen.study.experiments.reward import Reward
@@ -45,11 +43,11 @@ def example_pieces(experiment, lead=0.0, gain=0.0, repetitions=6):
     """Pieces in which the learned policy ends `lead` above the planners, and weights (or the SVM) gain `gain`."""
     rng = np.random.default_rng(1)
     made = {
-        "reward": lambda k: _reward(rng, k, lead),
+        "reward": lambda k: _reward(rng, lead),
         "planning": lambda k: _planning(rng, k, lead),
-        "censoring": lambda k: _censoring(rng, k, gain),
-        "grasp": lambda k: _grasp(rng, k, gain),
-        "regret": lambda k: _regret(rng, k, lead),
+        "censoring": lambda k: _censoring(rng, gain),
+        "grasp": lambda k: _grasp(rng, gain),
+        "regret": lambda k: _regret(rng, lead),
     }
     if experiment.name == "clutter":
         return Pieces(
@@ -86,7 +84,7 @@ def _means(reward):
     return {"reward": float(reward), "robot_s": 30.0 + 0.1 * float(reward)}
 
 
-def _reward(rng, index, lead):
+def _reward(rng, lead):
     luck = rng.normal()
     own = OWN + luck + lead
     rows = []
@@ -98,33 +96,29 @@ def _reward(rng, index, lead):
             weights["basis"] = MODEL if size > 25 else RULE
             rows.append({"num_trajectories": size, "cut_share": share, **weights, **_means(reward)})
     headline = next(row for row in rows if (row["num_trajectories"], row["cut_share"]) == (800, 0.5))["reward"]
-    baselines = {
-        name: _beside(10, PLANNED + 0.1 * k + luck + 0.2 * rng.normal(), own)
+    baselines = [
+        _beside(name, 10, PLANNED + 0.1 * k + luck + 0.2 * rng.normal(), own)
         for k, name in enumerate(REWARD.planner_names)
-    }
-    for name, reward in REWARDS.items():
-        baselines[name] = _beside(NUM_EPISODES, reward + luck + 0.1 * rng.normal(), headline)
-    baselines[ONE_STEP.name] = _beside(NUM_EPISODES, PLANNED + luck - 0.1 + 0.1 * rng.normal(), headline)
-    beside = {
-        name: [_made(row, row["reward"] - 0.3 * k + 0.1 * rng.normal()) for row in rows]
-        for k, name in enumerate(REWARD.beside_names, start=1)
-    }
-    for name, made in beside.items():
-        baselines[name] = _beside(NUM_EPISODES, made[-1]["reward"], headline)
-    baselines[REWARD.peer.name] = _beside(10, PLANNED + luck + 0.2 * rng.normal(), own)
-    peer = [
-        {name: row[name] for name in ("num_trajectories", "cut_share")} | {"over_peer": lead + 0.3 * rng.normal()}
-        for row in rows
     ]
-    return {"index": index, "learned": rows, "beside": beside, "baselines": baselines, "peer": peer}
+    for name, reward in REWARDS.items():
+        baselines.append(_beside(name, NUM_EPISODES, reward + luck + 0.1 * rng.normal(), headline))
+    baselines.append(_beside(ONE_STEP.name, NUM_EPISODES, PLANNED + luck - 0.1 + 0.1 * rng.normal(), headline))
+    made = [{"policy": "censored_q"} | row for row in rows]
+    for k, name in enumerate(REWARD.beside_names, start=1):
+        made += [{"policy": name} | _place(row) | _means(row["reward"] - 0.3 * k + 0.1 * rng.normal()) for row in rows]
+        baselines.append(_beside(name, NUM_EPISODES, made[-1]["reward"], headline))
+    baselines.append(_beside(REWARD.peer.name, 10, PLANNED + luck + 0.2 * rng.normal(), own))
+    peer = [_place(row) | {"over_peer": lead + 0.3 * rng.normal()} for row in rows]
+    return {"rows": made, "baselines": baselines, "peer": peer}
 
 
-def _made(row, reward):
-    return {"num_trajectories": row["num_trajectories"], "cut_share": row["cut_share"], **_means(reward)}
+def _place(row):
+    return {"num_trajectories": row["num_trajectories"], "cut_share": row["cut_share"]}
 
 
-def _beside(num_episodes, other, own):
-    return {"num_episodes": num_episodes, "censored_q": _means(own), "other": _means(other)}
+def _beside(name, num_episodes, other, own):
+    own = {f"own_{measure}": mean for measure, mean in _means(own).items()}
+    return {"policy": name, "num_episodes": num_episodes} | _means(other) | own
 
 
 def _planning(rng, index, lead):
@@ -136,11 +130,12 @@ def _planning(rng, index, lead):
     for name, reward in rewards.items():
         episodes = episodes_in_turn(index, some.get(name, NUM_EPISODES), NUM_EPISODES)
         earned = reward + luck[episodes] + 0.3 * rng.normal(size=len(episodes))
-        rows.append({"policy": name, "episodes": episodes, "reward": earned.tolist()})
-    return {"index": index, "played": rows}
+        earned = zip(episodes, earned.tolist(), strict=True)
+        rows += [{"policy": name, "episode": episode, "reward": each} for episode, each in earned]
+    return {"rows": rows}
 
 
-def _censoring(rng, index, gain):
+def _censoring(rng, gain):
     luck = rng.normal()
     rows = []
     for size in CENSORING.num_trajectories:
@@ -149,14 +144,14 @@ def _censoring(rng, index, gain):
                 behind = k * gain if kind == "independent" else 0.0
                 reward = OWN + luck + 0.3 * np.log2(size / 800) - behind + 0.1 * rng.normal()
                 rows.append({"treatment": treatment, "cut_kind": kind, "num_trajectories": size, **_means(reward)})
-    return {"index": index, "learned": rows}
+    return {"rows": rows}
 
 
-def _grasp(rng, index, lead):
+def _grasp(rng, lead):
     luck = rng.normal(size=2)
     rows = []
     for size in GRASP.num_trajectories:
-        for k, model in enumerate(MODEL_NAMES):
+        for k, model in enumerate(MODELS):
             above = {"succession": 0.2, "oracle": 0.0, "svm": 0.01 - lead}.get(model, 0.01)
             noise, attempts = rng.normal(size=4) * 0.001, rng.integers(100, 300, size=10)
             said = attempts * (np.arange(10) + 0.5) / 10
@@ -169,16 +164,16 @@ def _grasp(rng, index, lead):
             rows.append(
                 row | {"bins": {"attempts": attempts.tolist(), "probabilities": said.tolist(), "successes": successes}}
             )
-    return {"index": index, "grasp": rows}
+    return {"rows": rows}
 
 
-def _regret(rng, index, lead):
+def _regret(rng, lead):
     rows = [{"policy": who.name, "regrets": [0.5 / k, 0.7 / k]} for k, who in enumerate(REGRET.planners, start=1)]
     for size in REGRET.num_trajectories:
         for share in REGRET.cut_shares:
             values = (np.maximum(0.0, [60.0 / size - lead, 2.0 * share]) + 0.02 * rng.random()).tolist()
             rows.append({"policy": "censored_q", "num_trajectories": size, "cut_share": share, "regrets": values})
-    return {"index": index, "rows": rows}
+    return {"rows": rows}
 
 
 WORLD = WorldConfig()
@@ -189,19 +184,27 @@ def map_pieces(gain_share, design=None, repetitions=5, noise=0.01, setting=OF_MA
     """Make pieces in which the learned policy gains a share, by place, of the 12 that the best heuristic earns."""
     rng = np.random.default_rng(0)
     pieces = []
-    for index in range(repetitions):
+    for _ in range(repetitions):
         rows = []
         for place in (design or Clutter()).places(setting):
             best = 12.0 - 3.0 * place.num_objects
             learned = best + 12.0 * (gain_share(place) + noise * rng.normal())
             rewards = {"censored_q": learned, "greedy": best - 2, "history": best - 3, "greedy-penalty": best - 1}
-            rows.append(asdict(place) | {"rewards": rewards | {"history-penalty": best}})
-        pieces.append({"index": index, "map": rows})
+            rows.append(asdict(place) | rewards | {"history-penalty": best})
+        pieces.append({"rows": rows})
     return pieces
 
 
+def table_of(pieces, design=None):
+    return (design or Clutter()).tabulate(OF_MAP, Pieces({}, {}, pieces))["map"]
+
+
 def map_table(gain_share, design=None, **options):
-    return table_of(design or Clutter(), WORLD, map_pieces(gain_share, design, **options))
+    return table_of(map_pieces(gain_share, design, **options), design)
+
+
+def map_told(table, setting=OF_MAP):
+    return Clutter().section(setting, {"map": table})
 
 
 NUM_TABLES = 30
@@ -210,16 +213,16 @@ ABOVE = {"rate": 0.02, "beta": 0.0, "svm-facts": -0.01, "svm-set": -0.005, "law"
 
 @cache
 def source(seed=0):
-    """Attempts at some tables, and the regression."""
-    return source_of(trials(attempt_log(NUM_TABLES, seed), 12))
+    """Attempts at some tables."""
+    return plain(trials(attempt_log(NUM_TABLES, seed), 12))
 
 
 def attempt_pieces(gain=0.0, repetitions=8, has_both=True):
     """Make pieces in which the SVM gains so much over the Beta mean, in each attempt."""
     design, rng = Attempts(), np.random.default_rng(3)
     prepared = {COMPLETED: source(), **({VISIBLE_ONLY: source(1)} if has_both else {})}
-    decided = np.flatnonzero(prepared[COMPLETED]["tried"]["is_finished"])
-    trajectory = np.array(prepared[COMPLETED]["tried"]["trajectory"])[decided]
+    decided = np.flatnonzero(prepared[COMPLETED]["is_finished"])
+    trajectory = np.array(prepared[COMPLETED]["trajectory"])[decided]
     hard = rng.normal(0.15, 0.05, NUM_TABLES)
     pieces = [_attempts(design, index, decided, trajectory, hard, gain, rng) for index in range(repetitions)]
     return Pieces(prepared, {}, pieces)
@@ -237,8 +240,8 @@ def _attempts(design, index, decided, trajectory, hard, gain, rng):
             scores.append(row | {"log_loss": (weight * loss).tolist(), "brier": (weight * loss / 5).tolist()})
     said = {model: np.full(int(rows.sum()), 0.9).tolist() for model in ATTEMPT_MODELS}
     said["law"] = rng.uniform(0.6, 1.0, int(rows.sum())).tolist()
-    kept = {"rows": decided[rows].tolist(), "row_weight": np.ones(int(rows.sum())).tolist(), "said": said}
-    return {"index": index, "tables": tables.tolist(), "weight": weight.tolist(), "scores": scores, **kept}
+    kept = {"attempts": decided[rows].tolist(), "row_weight": np.ones(int(rows.sum())).tolist(), "said": said}
+    return {"rows": scores, "tables": tables.tolist(), "weight": weight.tolist(), **kept}
 
 
 SIZES = (25, 50)

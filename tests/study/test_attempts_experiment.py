@@ -11,18 +11,11 @@ from scipy.stats import t
 
 from attempt_logs import TRUTH, attempt_log
 from examples import attempt_pieces
+from halfseen.cell.calibration.fits import fit_grasping
 from halfseen.study.compare import holm
 from halfseen.study.experiment import Pieces
-from halfseen.study.experiments.attempts import Attempts, assumed_share, mean_of
-from halfseen.study.experiments.attempts_repetition import (
-    MODEL_NAMES,
-    SEEN,
-    fit_of,
-    frame_of,
-    of_one_kind,
-    predicted,
-    sets_of,
-)
+from halfseen.study.experiments.attempts import Attempts, frame_of, mean_of
+from halfseen.study.experiments.attempts_models import MODELS, SEEN, assumed_share, of_one_kind, predicted, sets_of
 from halfseen.study.runner import as_json
 from halfseen.study.setting import Setting
 from halfseen.tables.grasp_attempts import can_hold_out, checked_attempts
@@ -84,9 +77,9 @@ def test_scores_are_those_of_attempts_that_were_held_out(pieces, tried):
     for said, (number, row) in zip(predicted("svm-facts", learned, held_out), held_out.iterrows(), strict=True):
         if row["is_finished"]:
             sums[row["trajectory"]] -= weight[number] * np.log(said if row["succeeded"] else 1.0 - said)
-    (found,) = (row for row in piece["scores"] if (row["model"], row["num_tables"]) == ("svm-facts", 12))
+    (found,) = (row for row in piece["rows"] if (row["model"], row["num_tables"]) == ("svm-facts", 12))
     np.testing.assert_allclose(found["log_loss"], list(sums.values()), rtol=1e-9)
-    assert piece["rows"] == list(weight)
+    assert piece["attempts"] == list(weight)
 
 
 def test_one_rate_stands_in_where_an_svm_cannot_be_fitted(tried):
@@ -159,21 +152,21 @@ def test_intervals_hold_the_truth_where_tables_and_what_was_learned_vary():
 
 
 def test_tables_hold_every_model_and_size_and_an_attempt_that_was_held_out_twice_counts_once(pieces, tables):
-    assert len(tables["attempts_scores"]) == len(MODEL_NAMES) * 2
+    assert len(tables["attempts_scores"]) == len(MODELS) * 2
     for _, pair in tables["attempts_tests"].groupby(["model", "rival"]):
         np.testing.assert_allclose(pair["p_holm"], holm(pair["p_value"].to_numpy()))
         assert len(pair) == 4
     calibration = tables["attempts_calibration"]
     rows = calibration.query("by == 'occlusion' and model == 'law'")
-    decided = sum(pieces.prepared["completed"]["tried"]["is_finished"])
+    decided = sum(pieces.prepared["completed"]["is_finished"])
     assert rows["attempts"].sum() == tables["attempts_held"]["attempts"].sum() == decided
     assert rows["share_of_attempts"].sum() == pytest.approx(1.0)
-    law, fit = tables["attempts_law"].set_index("parameter"), fit_of(pieces.prepared["completed"])
+    law, fit = tables["attempts_law"].set_index("parameter"), fit_grasping(frame_of(pieces.prepared["completed"]))
     assert law.loc["occlusion", "estimate"] == fit.estimate[1]
     assert law.loc["occlusion", "high"] == pytest.approx(fit.estimate[1] + 1.959964 * fit.standard_error[1])
     said = {}
     for piece in pieces.repetitions:
-        for row, value in zip(piece["rows"], piece["said"]["beta"], strict=True):
+        for row, value in zip(piece["attempts"], piece["said"]["beta"], strict=True):
             said.setdefault(row, []).append(value)
     assert {len(each) for each in said.values()} == {2}
     rows = calibration.query("by == 'prediction' and model == 'beta'")

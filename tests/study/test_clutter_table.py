@@ -8,21 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from examples import WORLD, map_pieces, map_table
+from examples import map_pieces, map_table, map_told, table_of
 from fitted_laws import GRASPING, SEEING
 from halfseen.errors import ArgumentError
-from halfseen.study.experiments.clutter import Clutter, factor_words, levels, map_sentence, map_title
-from halfseen.study.experiments.clutter_places import (
-    ENOUGH,
-    LEARN,
-    NO_SCALE,
-    UNDECIDED,
-    ClutterDesign,
-    GainShare,
-    random_tables,
-    table_of,
-    verdict,
-)
+from halfseen.study.experiments.clutter import ENOUGH, LEARN, NO_SCALE, UNDECIDED, Clutter, GainShare, levels, verdict
+from halfseen.study.experiments.clutter_places import random_tables
 from halfseen.study.setting import Setting
 from halfseen.world.config import WorldConfig
 
@@ -31,6 +21,7 @@ COLUMNS = (
     "censored_q best_heuristic heuristic_reward finish_reward gain gain_se gain_share gain_share_low gain_share_high "
     "verdict"
 )
+HEURISTICS = ["greedy", "history", "greedy-penalty", "history-penalty"]
 SHARE = ["gain_share", "gain_share_low", "gain_share_high"]
 
 
@@ -73,10 +64,10 @@ def test_the_verdict_is_where_the_interval_lies(low, high, expected):
 def test_a_place_without_a_scale_keeps_the_gain_and_the_best_heuristic_is_the_best_on_average_in_its_place():
     pieces = map_pieces(lambda place: 0.0, repetitions=2)
     for piece, greedy in zip(pieces, (100.0, -50.0), strict=True):
-        row = piece["map"][0]
-        row["rewards"] = dict.fromkeys(row["rewards"], -3.0 * row["num_objects"] + 0.1) | {"censored_q": 4.0}
-        piece["map"][4]["rewards"]["greedy"] = greedy
-    table = table_of(Clutter(), WORLD, pieces)
+        row = piece["rows"][0]
+        row |= dict.fromkeys(HEURISTICS, -3.0 * row["num_objects"] + 0.1) | {"censored_q": 4.0}
+        piece["rows"][4]["greedy"] = greedy
+    table = table_of(pieces)
     assert table["verdict"][0] == NO_SCALE
     assert table.loc[0, SHARE].isna().all()
     assert table["gain"][0] == pytest.approx(4.0 + 9.0 - 0.1)
@@ -87,7 +78,8 @@ def test_a_place_without_a_scale_keeps_the_gain_and_the_best_heuristic_is_the_be
 def test_the_factor_that_decides_is_named_with_its_count_and_no_factor_is_blamed_for_another():
     # Learning pays where washing a clean cup is dear.
     of_dear = map_table(lambda place: 0.3 if place.reward_wash_clean == -20 else 0.0)
-    title, sentence = map_title(of_dear, WORLD), map_sentence(of_dear, Clutter(), WORLD)
+    section = map_told(of_dear)
+    title, (sentence,) = section.drawings[0].title, section.sentences
     dear = "washing a clean cup costs 4 times what a dirty one earns"
     assert title.startswith(
         f"Learning pays in 27 of 99 places, most often where {dear} (27 of 27); the best heuristic is good enough in "
@@ -98,7 +90,7 @@ def test_the_factor_that_decides_is_named_with_its_count_and_no_factor_is_blamed
     assert "gains more than 5 % of what the best heuristic earns above finishing at once" in sentence
     # What is dear is learned; spreads were varied where it is not dear, and so tell nothing apart.
     counts = {"grip_offset_std": [], "labels": []}
-    for level in levels(of_dear, LEARN):
+    for level in levels(of_dear, LEARN).itertuples():
         counts.get(level.factor, []).append((level.num_places, level.num_verdicts))
     assert counts == {"grip_offset_std": [(9, 0)] * 3, "labels": [(27, 9)] * 3}
 
@@ -106,7 +98,7 @@ def test_the_factor_that_decides_is_named_with_its_count_and_no_factor_is_blamed
 @pytest.mark.parametrize(
     ("factor", "value", "words"),
     [
-        ("num_objects", 9.0, "9 objects stand on the table"),
+        ("num_objects", 9, "9 objects stand on the table"),
         ("occlusion", 0.3, "30 % of an object is hidden on average"),
         ("labels", 0.15, "a label in full view is right 65 % of the time"),
         ("reward_wash_clean", -5.0, "washing a clean cup costs as much as a dirty one earns"),
@@ -114,12 +106,13 @@ def test_the_factor_that_decides_is_named_with_its_count_and_no_factor_is_blamed
     ],
 )
 def test_levels_in_words(factor, value, words):
-    assert factor_words(factor, value, WORLD) == words
+    table = map_table(lambda place: 0.3 if getattr(place, factor) == value else 0.0)
+    assert f"most often where {words} (" in map_told(table).drawings[0].title
 
 
 def test_the_assumed_laws_are_counted_apart(of_three):
     beside = of_three.head(9).assign(is_assumed=True)
-    alone, both = (map_title(each, WORLD) for each in (of_three, pd.concat([of_three, beside])))
+    alone, both = (map_told(each).drawings[0].title for each in (of_three, pd.concat([of_three, beside])))
     num = int((beside["verdict"] == LEARN).sum())
     assert 0 < num < 9
     assert both == f"{alone}; under the assumed laws, these are {num} and {9 - num} of 9"
@@ -159,11 +152,11 @@ def test_a_clutter_that_no_table_has_is_refused(num_objects, occlusion):
     with pytest.raises(ArgumentError, match="nearest is in full view"):
         tables(num_objects, occlusion, 1)
     with pytest.raises(ArgumentError, match="nearest is in full view"):
-        ClutterDesign(num_objects=(5, num_objects), occlusions=(0.0, occlusion))
+        Clutter(num_objects=(5, num_objects), occlusions=(0.0, occlusion))
 
 
 def test_labels_and_costs_are_crossed_and_spreads_vary_the_worlds_own():
-    places = ClutterDesign().places(Setting(()))
+    places = Clutter().places(Setting(()))
     assert len(places) == len(set(places)) == 9 * (3 * 3 + 2)
     pairs = {True: set(), False: set()}
     for place in places:
@@ -174,7 +167,7 @@ def test_labels_and_costs_are_crossed_and_spreads_vary_the_worlds_own():
 
 
 def test_under_a_law_of_a_cell_the_assumed_laws_are_one_more_row(tmp_path):
-    grasping, design = replace(GRASPING, offset_std=3.5961921927952466), ClutterDesign()
+    grasping, design = replace(GRASPING, offset_std=3.5961921927952466), Clutter()
     setting = Setting((), world=WorldConfig(grasping=grasping, seeing=SEEING, transport_s=4.0), law=tmp_path)
     places = design.places(setting)
     assert len(places) == len(set(places)) == 9 * (3 * 3 + 2 + 1)

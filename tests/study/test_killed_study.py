@@ -18,16 +18,17 @@ from pathlib import Path
 from dataclasses import dataclass
 import numpy as np
 import pandas as pd
-from halfseen.study.experiment import Section
+from halfseen.study.experiment import Experiment
 from halfseen.study.runner import run_study
 from halfseen.study.setting import Setting
 from halfseen.workers import Workers
 from halfseen.world.scene import Scene
 
 @dataclass(frozen=True)
-class Slow:
+class Slow(Experiment):
     most_repetitions = None
     name = "slow"
+    told = "heading = 'Slow'\\nsentences = ['It was slow.']"
 
     def prepare(self, setting):
         time.sleep(0.2)
@@ -41,9 +42,6 @@ class Slow:
 
     def tabulate(self, setting, pieces):
         return {"slow": pd.DataFrame(pieces.repetitions)}
-
-    def section(self, setting, tables):
-        return Section("Slow", ("It was slow.",), (), ())
 
 if __name__ == "__main__":
     setting = Setting((Scene(np.zeros((2, 2)), name="two"),), repetitions=int(sys.argv[4]))

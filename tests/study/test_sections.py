@@ -11,13 +11,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.text import Text
 
 from examples import GRASP, PLANNING, REWARD, example
-from halfseen.evaluation.estimate import Estimate
 from halfseen.figures import drawn, style
 from halfseen.study.compare import row_of, where
 from halfseen.study.experiments import EXPERIMENTS
-from halfseen.study.experiments.reward import opening_of
-from halfseen.study.experiments.reward_repetition import over_peer
-from halfseen.wording import Claim
+from halfseen.study.experiments.reward import over_peer
 
 BY_NAME = pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda each: each.name)
 
@@ -109,7 +106,10 @@ def test_planners_stand_as_far_from_what_was_learned_as_on_the_episodes_of_both_
     place = {"num_trajectories": 50, "cut_share": 1 / 3}
     over, learned = (
         np.mean([row[what] for piece in pieces.repetitions for row in piece[of] if place.items() <= row.items()])
-        for of, what in (("peer", "over_peer"), ("learned", "reward"))
+        for of, what, place in (
+            ("peer", "over_peer", place),
+            ("rows", "reward", place | {"policy": "censored_q"}),
+        )
     )
     line = row_of(tables["figure1"], policy=REWARD.peer.name, **place)
     assert line["mean_reward"] == pytest.approx(learned - over)
@@ -122,10 +122,10 @@ def test_planners_stand_as_far_from_what_was_learned_as_on_the_episodes_of_both_
 
 def test_what_is_made_of_logs_stands_above_the_strongest_heuristic_on_the_same_episodes():
     _, pieces, tables, section = example(REWARD)
-    rule = np.array([piece["baselines"]["history-penalty"]["other"]["reward"] for piece in pieces.repetitions])
+    rule = where(pieces.table("baselines"), policy="history-penalty")["reward"]
     figure1 = tables["figure1"]
     for name in REWARD.beside_names:
-        of_size = [[row["reward"] for row in piece["beside"][name][:4]] for piece in pieces.repetitions]
+        of_size = where(pieces.rows, policy=name, num_trajectories=25)["reward"]
         rows = where(figure1, policy=name, num_trajectories=25)
         mean = rows[rows["cut_share"].isna()].iloc[0]
         assert mean["gain"] == pytest.approx(np.mean(of_size) - rule.mean())
@@ -174,8 +174,7 @@ def test_the_papers_claim_is_said_to_hold_only_where_it_does(gain, verdict, titl
 def test_calibration_has_an_error_over_repetitions():
     _, pieces, tables, _ = example(GRASP)
     row = tables["figure5"].query("model == 'beta' and num_trajectories == 50").iloc[3]
-    met = [each for piece in pieces.repetitions for each in piece["grasp"]]
-    bins = [each["bins"] for each in met if (each["model"], each["num_trajectories"]) == ("beta", 50)]
+    bins = where(pieces.rows, model="beta", num_trajectories=50)["bins"]
     attempts, said, won = (np.array([each[k][3] for each in bins]) for k in ("attempts", "probabilities", "successes"))
     assert row["difference"] == pytest.approx((won.sum() - said.sum()) / attempts.sum())
     residual = won - said - row["difference"] * attempts
@@ -187,7 +186,7 @@ def test_planners_that_play_in_few_repetitions_are_compared_on_those():
     few, design = list(pieces.repetitions), replace(REWARD, planned_repetitions=8)
     planned = [*REWARD.planner_names, REWARD.peer.name]
     for k, piece in enumerate(few[8:], start=8):
-        played = {name: of for name, of in piece["baselines"].items() if name not in planned}
+        played = [row for row in piece["baselines"] if row["policy"] not in planned]
         few[k] = piece | {"peer": [], "baselines": played}
     tables, alone = (design.tabulate(setting, pieces._replace(repetitions=some)) for some in (few, few[:8]))
     counts = tables["figure1"].groupby("policy")["repetitions"].unique().map(list).to_dict()
@@ -200,14 +199,10 @@ def test_planners_that_play_in_few_repetitions_are_compared_on_those():
     assert "in 8 of" not in design.section(replace(setting, repetitions=8), alone).drawings[0].caption
 
 
-@pytest.mark.parametrize(
-    ("gain", "words"), [((0.5, 1.5), "better than"), ((-0.5, 1.5), "about as well as"), ((-1.5, -0.5), "worse")]
-)
-def test_the_report_opens_with_what_each_way_brings_above_leaving_the_table(gain, words):
-    setting, _, tables, _ = example(REWARD, 30)
-    figure1 = tables["figure1"]
-    rule = Claim("x", "earns more than", "earns less than", "y", Estimate(float(np.mean(gain)), *gain, 0.1, 30.0))
-    opening = opening_of(REWARD, setting, figure1, rule)
+@pytest.mark.parametrize(("lead", "words"), [(3.0, "better than"), (-2.56, "about as well as"), (-6.0, "worse than")])
+def test_the_report_opens_with_what_each_way_brings_above_leaving_the_table(lead, words):
+    setting, _, tables, section = example(REWARD, 30, lead=lead)
+    figure1, opening = tables["figure1"], section.opening
     nothing = -5.0 * 0.6 * np.mean([scene.num_objects for scene in setting.scenes])
     ours = row_of(figure1, policy="censored_q", num_trajectories=800, cut_share=0.5)["mean_reward"] - nothing
     theirs = row_of(figure1, role="best_heuristic")["mean_reward"] - nothing

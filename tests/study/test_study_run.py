@@ -72,8 +72,12 @@ def test_it_writes_all_that_it_promises(study_folder):
         assert (study_folder / f"{name}.csv").read_text().splitlines()[0].split(",") == columns.split()
 
 
-def by_size(rows):
-    return {(row["num_trajectories"], row["cut_share"]): row["reward"] for row in rows}
+def by_size(rows, policy):
+    return {(row["num_trajectories"], row["cut_share"]): row["reward"] for row in rows if row["policy"] == policy}
+
+
+def rewards_of(rows):
+    return {row["policy"]: row["reward"] for row in rows}
 
 
 def untimed(file):
@@ -87,18 +91,18 @@ def test_the_numbers_are_those_of_the_pieces_and_experiments_share_episodes_and_
     by_experiment = [pieces(study_folder, name) for name in ("reward", "planning", "grasp")]
     figure1 = pd.read_csv(study_folder / "figure1.csv").set_index("policy")
     for name in ("greedy", "history-penalty"):
-        expected = np.mean([piece["baselines"][name]["other"]["reward"] for piece in by_experiment[0]])
+        expected = np.mean([rewards_of(piece["baselines"])[name] for piece in by_experiment[0]])
         assert figure1.loc[name, "mean_reward"] == pytest.approx(expected)
-    first = by_experiment[1][0]["played"]
-    assert [row["policy"] for row in first][:2] == ["censored_q", "greedy"]
-    assert {len(row["episodes"]) for row in first} == {1, 2, 4}
+    first = pd.DataFrame(by_experiment[1][0]["rows"])
+    assert first["policy"].unique()[:2].tolist() == ["censored_q", "greedy"]
+    assert set(first["policy"].value_counts()) == {1, 2, 4}
     for reward, planning, grasp in zip(*by_experiment, strict=True):
-        played = {row["policy"]: np.mean(row["reward"]) for row in planning["played"]}
-        rule = reward["baselines"]["history-penalty"]["other"]["reward"]
+        played = pd.DataFrame(planning["rows"]).groupby("policy")["reward"].mean()
+        rule = rewards_of(reward["baselines"])["history-penalty"]
         assert played["history-penalty"] == pytest.approx(rule, abs=1e-5)
-        assert played["censored_q"] == pytest.approx(by_size(reward["learned"])[50, 0.5], abs=1e-5)
-        linear = by_size(reward["beside"]["linear_q"])
-        for row in grasp["grasp"]:
+        assert played["censored_q"] == pytest.approx(by_size(reward["rows"], "censored_q")[50, 0.5], abs=1e-5)
+        linear = by_size(reward["rows"], "linear_q")
+        for row in grasp["rows"]:
             if row["model"] == "succession":
                 assert row["learned_reward"] == pytest.approx(linear[row["num_trajectories"], 0.5], abs=1e-5)
             if row["model"] == "oracle":

@@ -2,21 +2,16 @@
 
 import shutil
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
-import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 
 from halfseen.errors import ArgumentError
-from halfseen.figures import write_title
-from halfseen.study.compare import columns, estimate_in, over_repetitions
-from halfseen.study.experiment import Drawing, Experiment, Listing, Section
+from halfseen.study.compare import means, wide
+from halfseen.study.experiment import Experiment
 from halfseen.study.runner import run_study
 from halfseen.study.setting import Setting
-from halfseen.wording import Claim
 from halfseen.workers import Workers
 from halfseen.world.scene import Scene
 
@@ -25,41 +20,51 @@ ALONE = Workers(1)
 
 
 @dataclass(frozen=True)
-class Coin:
+class Coin(Experiment):
     """Whether a coin falls on heads more often than not."""
 
     bias: float = 0.9
     num_throws: int = 50
     most_repetitions: int | None = None
     name: ClassVar[str] = "coin"
+    told: ClassVar[str] = """
+        heading = "Is the coin fair?"
+        sentences = ["{{ fair.sentence }}"]
+        [claims.fair]
+        row = "row_of(coin)"
+        columns = "heads"
+        subject = "The coin"
+        more = "beats"
+        less = "loses to"
+        rival = "a fair one"
+        [[figures]]
+        name = "coin_figure"
+        label = "Figure C"
+        title = "{{ fair.title }}"
+        caption = "One point."
+        size = [4, 3]
+        below = 0.2
+        grid = { bottom = 0.2 }
+        [[figures.panels]]
+        title = "heads"
+        layers = [{ draw = "bars", rows = "coin", x = "side", y = "heads", look = { color = "BLUE" } }]
+        [[tables]]
+        label = "Table C"
+        caption = "Heads."
+        rows = "coin"
+        folded = false
+        cells = { coin = "'this one'", verdict = "fair.verdict" }"""
 
     def prepare(self, setting):
         return {"half": 0.5}
 
     def repeat(self, setting, prepared, index):
         rng = np.random.default_rng([setting.seed, index])
-        return {"index": index, "heads": float((rng.random(self.num_throws) < self.bias).mean()) - prepared["half"]}
+        return {"rows": [{"side": 0, "heads": (rng.random(self.num_throws) < self.bias).mean() - prepared["half"]}]}
 
     def tabulate(self, setting, pieces):
-        gain = over_repetitions(np.array([piece["heads"] for piece in pieces.repetitions]))
-        row = columns(gain, "gain", "se", "low", "high") | {"repetitions": len(pieces.repetitions)}
-        return {"coin": pd.DataFrame([row])}
-
-    def section(self, setting, tables):
-        row = tables["coin"].iloc[0]
-        gain = estimate_in(row, "gain", "se", int(row["repetitions"]))
-        claim = Claim("The coin", "beats", "loses to", "a fair one", gain)
-        cells = {"": [("this one", claim.verdict)]}
-        listing = Listing("Table C", "Heads.", ("coin", "verdict"), cells, is_folded=False)
-        drawing = Drawing("coin_figure", "Figure C", claim.title, "One bar.", partial(bar, float(row["gain"])))
-        return Section("Is the coin fair?", (claim.sentence,), (drawing,), (listing,))
-
-
-def bar(gain, title):
-    figure = Figure(figsize=(4, 3))
-    write_title(figure, title)
-    figure.add_axes((0.1, 0.1, 0.8, 0.6)).bar([0], [gain])
-    return figure
+        heads = wide(pieces.rows, ["side"], "heads")
+        return {"coin": means(heads, ("heads", "heads_se", "heads_low", "heads_high")).reset_index()}
 
 
 def run(folder, *coins, setting=SETTING, is_resumed=False):
@@ -136,6 +141,13 @@ def test_another_seed_or_a_scene_of_the_same_name_and_other_content_is_another_s
         run(copied, setting=other, is_resumed=True)
 
 
+def test_pieces_of_before_are_of_another_study(copied):
+    file = copied / "progress" / "coin" / "design.json"
+    file.write_text(file.read_text().replace(' "format": 2,\n', ""))
+    with pytest.raises(ArgumentError, match="belongs to a study of another design, seed or version"):
+        run(copied, is_resumed=True)
+
+
 @pytest.mark.parametrize(("bias", "words"), [(0.5, "inconclusive"), (0.1, "not supported")])
 def test_a_claim_that_fails_is_said_to_fail(tmp_path, bias, words):
     assert f"beats a fair one: {words}" in run(tmp_path, Coin(bias=bias)).answer[0]
@@ -157,4 +169,4 @@ def test_what_no_study_wrote_is_not_removed_and_nan_is_never_kept(tmp_path):
         run(tmp_path)
     assert notes.read_text() == "mine"
     with pytest.raises(ValueError, match="not JSON compliant"):
-        run(tmp_path / "nan", type("Nothing", (Coin,), {"repeat": lambda *_: {"heads": float("nan")}})())
+        run(tmp_path / "nan", type("Nothing", (Coin,), {"repeat": lambda *_: {"rows": [{"heads": float("nan")}]}})())

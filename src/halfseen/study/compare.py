@@ -1,17 +1,18 @@
-"""Tidy tables: means with Student's t, the paired test of two policies, and how both are written."""
+"""Tidy tables: cells by repetitions, means with Student's t, and the paired test of two policies."""
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 import pandas as pd
 from scipy import stats
 
-from halfseen.evaluation.estimate import Estimate, around, estimate_of
+from halfseen.evaluation.estimate import Estimate, estimate_of
 from halfseen.shapes import Float
-from halfseen.study.experiment import Row
-from halfseen.wording import INCONCLUSIVE, MISSING, NOT_SUPPORTED, SUPPORTED, estimated, p_value, share_in_words
+from halfseen.wording import INCONCLUSIVE, MISSING, NOT_SUPPORTED, SUPPORTED, estimated, share_in_words, with_interval
 
+Row: TypeAlias = dict[str, Any]  # row of a table
+Frame: TypeAlias = Any  # data frame of pandas, whose stubs do not tell what indexing returns
 LEVEL = 0.95
 MEAN = ("mean_reward", "se", "low", "high")
 """Columns of a mean reward: value, standard error, ends of the confidence interval."""
@@ -20,30 +21,29 @@ EFFECT = ("effect", "effect_low", "effect_high")
 TESTED = ["p_value", "p_holm", "effect", "supported", "effect_low", "effect_high"]
 
 
-def where(table: Any, **values: Any) -> pd.DataFrame:
-    """Rows of a data frame with these values, in order; None matches missing values."""
-    kept = table
+def where(table: Frame, **values: Any) -> Frame:
+    """Rows of a data frame with these values, in order; None matches missing values, and a list each of its values."""
     for name, value in values.items():
-        kept = kept[kept[name].isna() if value is None else (kept[name] == value).fillna(False)]
-    return pd.DataFrame(kept)
+        column = table[name]
+        is_kept = column.isna() if value is None else column.isin(value if isinstance(value, list) else [value])
+        table = table[is_kept]
+    return pd.DataFrame(table)
 
 
-def records(table: Any, **values: Any) -> list[Row]:
+def records(table: Frame, **values: Any) -> list[Row]:
     """Rows with these values, as dictionaries."""
-    return [{str(name): value for name, value in row.items()} for row in where(table, **values).to_dict("records")]
+    return where(table, **values).to_dict("records")
 
 
-def row_of(table: Any, **values: Any) -> Row:
+def row_of(table: Frame, **values: Any) -> Row:
     """The first row with these values."""
     return records(table, **values)[0]
 
 
-def stacked(repetitions: Sequence[Mapping[str, Any]], name: str, *measures: str) -> list[Row]:
-    """Rows of this name, the same in all repetitions, with arrays over repetitions for the measures."""
-    return [
-        rows[0] | {measure: np.array([row[measure] for row in rows]) for measure in measures}
-        for rows in zip(*(piece[name] for piece in repetitions), strict=True)
-    ]
+def wide(rows: Frame, by: Sequence[str], measure: str) -> Frame:
+    """A measure by cell, in the order in which cells first appear, and by repetition; NaN where there is none."""
+    by = list(by)
+    return rows.pivot(index=by, columns="repetition", values=measure).reindex(rows.set_index(by).index.unique())
 
 
 def four(name: str) -> tuple[str, str, str, str]:
@@ -51,9 +51,9 @@ def four(name: str) -> tuple[str, str, str, str]:
     return name, f"{name}_se", f"{name}_low", f"{name}_high"
 
 
-def three(name: str) -> list[str]:
-    """Columns of a value and its interval."""
-    return [name, f"{name}_low", f"{name}_high"]
+def ends_of(names: str | Sequence[str]) -> Sequence[str]:
+    """Columns of a value and its interval, which may be given by how they begin."""
+    return [names, f"{names}_low", f"{names}_high"] if isinstance(names, str) else names
 
 
 def over_repetitions(values: Float[np.ndarray, " R"]) -> Estimate:
@@ -61,20 +61,16 @@ def over_repetitions(values: Float[np.ndarray, " R"]) -> Estimate:
     return estimate_of(np.asarray(values, dtype=np.float64), len(values), LEVEL)
 
 
-def columns(estimate: Estimate, value: str, se: str, low: str, high: str) -> dict[str, float]:
-    """An estimate as columns of a table."""
-    return {value: estimate.value, se: estimate.standard_error, low: estimate.low, high: estimate.high}
+def columns(estimate: Estimate, names: Sequence[str] = MEAN) -> dict[str, float]:
+    """An estimate as columns of these names: value, standard error, ends of the interval."""
+    ends = estimate.value, estimate.standard_error, estimate.low, estimate.high
+    return dict(zip(names, ends, strict=True))
 
 
-def mean_columns(values: Float[np.ndarray, " R"], names: Sequence[str] = MEAN) -> dict[str, float]:
-    """Mean over repetitions, as columns of these names."""
-    value, se, low, high = names
-    return columns(over_repetitions(values), value, se, low, high)
-
-
-def estimate_in(row: Any, value: str, se: str, num_repetitions: int) -> Estimate:
-    """Read an estimate back from the columns of a table."""
-    return around(float(row[value]), float(row[se]), num_repetitions, num_repetitions - 1, LEVEL)
+def means(cells: Frame, names: Sequence[str] = MEAN) -> Frame:
+    """Mean of each cell over its repetitions, as columns of these names."""
+    rows = [columns(over_repetitions(row[~np.isnan(row)]), names) for row in cells.to_numpy(dtype=np.float64)]
+    return pd.DataFrame(rows, cells.index)
 
 
 class PairedTest(NamedTuple):
@@ -117,8 +113,9 @@ def holm(p_values: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
     return adjusted
 
 
-def adjusted(table: pd.DataFrame, alpha: float) -> pd.DataFrame:
+def adjusted(rows: Sequence[Row] | Frame, alpha: float) -> Frame:
     """Add p_holm and supported to a table of tests, and move the columns of the test to the end."""
+    table = pd.DataFrame(rows)
     table = table.assign(p_holm=holm(table["p_value"].to_numpy(dtype=float)))
     table = table.assign(supported=(table["p_holm"] < alpha).astype("boolean").mask(table["p_holm"].isna()))
     return table.loc[:, [*table.columns.drop(TESTED), *TESTED]]
@@ -135,30 +132,36 @@ def learned_from(num_trajectories: int, cut_share: float) -> str:
     return f"learned from {num_trajectories} logged trajectories, {cut},"
 
 
-def estimated_in(row: Row, names: Sequence[str], decimals: int = 2) -> str:
-    """Write a value and its interval from these columns of a row."""
-    return estimated(*(row[name] for name in names), decimals=decimals)
+def estimated_in(row: Mapping[str, Any], names: str | Sequence[str], decimals: int = 2) -> str:
+    """Write a value and its interval from these columns of a row, or from those that begin with one name."""
+    return estimated(*(row[name] for name in ends_of(names)), decimals=decimals)
 
 
-def gain_in(row: Row) -> Estimate:
-    """The effect in a row of a table of tests, above 0 if ours is better."""
-    value, low, high = (float(row[name]) for name in EFFECT)
-    value, low, high = (value, low, high) if is_reward(row["measure"]) else (-value, -high, -low)
+def effect_in(row: Row) -> str:
+    """Write the effect of a test, with decimals by its interval; without one if it was not tested."""
+    mean, ends = with_interval(*(row[name] for name in EFFECT))
+    return mean if ends == MISSING else f"{mean} ({ends})"
+
+
+def gain_in(row: Mapping[str, Any], names: str | Sequence[str] = EFFECT) -> Estimate:
+    """The value and interval in these columns of a row, above 0 if ours is better."""
+    value, low, high = (float(row[name]) for name in ends_of(names))
+    value, low, high = (value, low, high) if is_reward(row.get("measure", "reward")) else (-value, -high, -low)
     return Estimate(value, low, high, float("nan"), float("nan"))
 
 
-def verdict_of(row: Row) -> str:
-    """Verdict on a row of a table of tests; a dash if there was no test."""
-    if pd.isna(row["supported"]):
+def verdict_of(row: Row, names: str | Sequence[str] = EFFECT) -> str:
+    """Verdict on a row: by its test, if it has that column, or by these columns; a dash if it was not tested."""
+    gain = gain_in(row, names)
+    is_supported = row.get("supported", gain.low > 0)
+    if pd.isna(is_supported):
         return MISSING
-    if row["supported"]:
-        return SUPPORTED
-    return NOT_SUPPORTED if gain_in(row).high < 0 else INCONCLUSIVE
+    return SUPPORTED if is_supported else NOT_SUPPORTED if gain.high < 0 else INCONCLUSIVE
 
 
-TEST_CELLS: dict[str, Callable[[Row], str]] = {
-    "p": lambda row: p_value(row["p_value"]),
-    "p, adjusted": lambda row: p_value(row["p_holm"]),
-    "claim": verdict_of,
-}
-"""Last columns of a listing of tests."""
+def grouped(values: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[Any]]:
+    """Values by key, in order."""
+    found: dict[Any, list[Any]] = {}
+    for each in values:
+        found.setdefault(key(each), []).append(each)
+    return found

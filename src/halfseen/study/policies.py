@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 from timeit import timeit
+from typing import Any
 
 import numpy as np
 
@@ -41,14 +42,7 @@ class StudyKind(StrEnum):
     OPTIMUM = "optimum"
 
 
-COLOURS = {
-    StudyKind.LEARNED: OURS,
-    StudyKind.HEURISTIC: SOFT,
-    StudyKind.PLANNER: PLANNER,
-    StudyKind.PEER: PEER,
-    StudyKind.LINEAR: ORANGE,
-    StudyKind.OPTIMUM: INK,
-}
+COLOURS = dict(zip(StudyKind, (OURS, SOFT, PLANNER, PEER, ORANGE, INK), strict=True))
 DASHES = {StudyKind.PLANNER: (5.0, 1.5, 1.0, 1.5)}  # lines of planners; others have even dashes
 
 
@@ -65,14 +59,13 @@ class Entrant:
     make: Callable[[WorldConfig], Policy] | None = None
 
     @property
-    def colour(self) -> str:
-        """Colour of its kind."""
-        return COLOURS[self.kind]
-
-    @property
-    def dashes(self) -> tuple[float, ...]:
-        """Dashes of its kind."""
-        return DASHES.get(self.kind, (4.0, 2.0))
+    def look(self) -> dict[str, Any]:
+        """Colour and dashes of its kind, and its label."""
+        return {
+            "color": COLOURS[self.kind],
+            "linestyle": (0, DASHES.get(self.kind, (4.0, 2.0))),
+            "label": self.label,
+        }
 
     def policy(self, world: WorldConfig) -> Policy:
         """Make the policy for a world."""

@@ -13,9 +13,9 @@ from markupsafe import Markup
 from halfseen.cell.calibration.law import shipped_law
 from halfseen.errors import ArgumentError
 from halfseen.figures import HUES, inline_svg
-from halfseen.study.experiment import CUT_KIND_NAMES, Drawing, Experiment, Section, Tables
+from halfseen.study.experiment import Drawing, Experiment, Section, Tables
 from halfseen.study.policies import STRONGEST_RULE
-from halfseen.study.setting import Setting, law_sentence
+from halfseen.study.setting import CUT_KIND_NAMES, Setting, law_sentence
 from halfseen.view.templates import rendered
 from halfseen.wording import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, as_sentence, percent, share
 from halfseen.world.scene import Scene
@@ -59,12 +59,9 @@ def report_of(results: StudyResults, pictures: Mapping[str, bytes]) -> str:
     """Write the page; `pictures` are PNG of scenes by name, and a scene without one is described in words only."""
     setting, experiments = results.setting, results.experiments
     names = [scene.name for scene in setting.scenes]
-    for name in pictures:
-        if name not in names:
-            raise ArgumentError(
-                f"no scene is named {name!r} for its picture; the scenes are {', '.join(names)}: name it after "
-                "its scene"
-            )
+    if unknown := [name for name in pictures if name not in names]:
+        there = f"the scenes are {', '.join(names)}: name it after its scene"
+        raise ArgumentError(f"no scene is named {unknown[0]!r} for its picture; {there}")
     content = {
         "setting": setting,
         "opening": next((each.opening for each in results.sections.values() if each.opening is not None), None),
@@ -74,17 +71,14 @@ def report_of(results: StudyResults, pictures: Mapping[str, bytes]) -> str:
         "smallest_hidden": SMALLEST_HIDDEN_SHARE,
         "hues": HUES,
         "logging_rule": STRONGEST_RULE.label,
-        "parameters": {
-            "The world": parameters(setting.world),
-            **{f"Experiment “{each.name}”": parameters(each) for each in experiments},
-        },
+        "parameters": {"The world": parameters(setting.world)}
+        | {f"Experiment “{each.name}”": parameters(each) for each in experiments},
         "command": _command(setting, experiments),
         "versions": dict(sorted(results.versions.items())),
         "verdicts": (SUPPORTED, NOT_SUPPORTED, INCONCLUSIVE),
     }
-    return rendered(
-        "halfseen.study", "report.html.j2", content, inline=inline, percent=percent, as_sentence=as_sentence
-    )
+    functions: dict[str, Any] = {"inline": inline, "percent": percent, "as_sentence": as_sentence}
+    return rendered("halfseen.study", "report.html.j2", content, **functions)
 
 
 def inline(drawing: Drawing) -> Markup:
@@ -104,9 +98,8 @@ def parameters(config: Any, before: str = "") -> list[tuple[str, str]]:
 def written(name: str, value: Any) -> str:
     """Write the value of a parameter."""
     if isinstance(value, (tuple, list)):
-        return ", ".join(
-            f"({written(name, each)})" if isinstance(each, tuple) else written(name, each) for each in value
-        )
+        parts = [(written(name, each), isinstance(each, tuple)) for each in value]
+        return ", ".join(f"({part})" if is_tuple else part for part, is_tuple in parts)
     if value is None or isinstance(value, str):
         return CUT_KIND_NAMES.get(value, value) if value else "as many as asked for"
     if "cut_share" in name:
@@ -119,28 +112,27 @@ def _command(setting: Setting, experiments: Sequence[Experiment]) -> str:
     from halfseen.study.experiments import EXPERIMENTS
 
     only = "" if len(experiments) == len(EXPERIMENTS) else "".join(f" --only {each.name}" for each in experiments)
-    law = (
-        " --law assumed"
-        if setting.law is None
-        else ""
-        if setting.law == shipped_law()
-        else f" --law {setting.law.name}"
-    )
+    law = "assumed" if setting.law is None else setting.law.name
+    law = "" if setting.law == shipped_law() else f" --law {law}"
     return f"halfseen study --repetitions {setting.repetitions} --seed {setting.seed}{law}{only}"
 
 
 def _scene(scene: Scene, picture: bytes | None) -> dict[str, Any]:
-    occlusion = scene.occlusion
-    by = [
-        [(int(j), float(hides[j])) for j in np.argsort(-hides, kind="stable") if hides[j] >= SMALLEST_HIDDEN_SHARE]
-        for hides in scene.hides
+    """A scene as it is told, with who hides how much of each object that is hidden, the most hidden first."""
+    occlusion, hides = scene.occlusion, np.where(scene.hides >= SMALLEST_HIDDEN_SHARE, scene.hides, 0.0)
+    order = [int(i) for i in np.argsort(-occlusion, kind="stable") if hides[i].any()]
+    hidden = [
+        {
+            "object": i,
+            "occlusion": float(occlusion[i]),
+            "by": [(int(j), float(hides[i, j])) for j in np.argsort(-hides[i], kind="stable") if hides[i, j]],
+        }
+        for i in order
     ]
-    hidden = [int(i) for i in np.argsort(-occlusion, kind="stable") if by[i]]
     return {
         "name": Path(scene.name).stem.replace("_", " "),
         "picture": None if picture is None else base64.b64encode(picture).decode(),
         "num_objects": scene.num_objects,
         "mean": float(np.mean(occlusion)) if len(occlusion) else 0.0,
-        "max": float(np.max(occlusion)) if len(occlusion) else 0.0,
-        "hidden": [{"object": i, "occlusion": float(occlusion[i]), "by": by[i]} for i in hidden],
+        "hidden": hidden,
     }

@@ -7,7 +7,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, is_dataclass, replace
+from dataclasses import asdict, replace
 from functools import partial
 from operator import methodcaller
 from pathlib import Path
@@ -19,7 +19,7 @@ from halfseen.errors import ArgumentError, did_you_mean
 from halfseen.figures import drawn
 from halfseen.progress import Progress
 from halfseen.reading import NUMBERS, json_of, read_text, reason_of
-from halfseen.study.experiment import Experiment, PieceOf, Pieces, Tables
+from halfseen.study.experiment import Experiment, Piece, Pieces, Tables
 from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.report import StudyResults, report_of
 from halfseen.study.setting import Setting
@@ -29,6 +29,7 @@ from halfseen.writing import held_alone, write_file
 
 FINGERPRINT = "design.json"
 PREPARED = "prepared"
+FORMAT = 2  # of pieces; those of another are not read
 TABULATING = 0.1
 """Time for measuring and tabulating an experiment, relative to its repetitions; about the same for each of them."""
 MOST_AT_ONCE = 8  # repetitions that a worker makes in a row: short ones together take a few seconds
@@ -117,14 +118,9 @@ def store_of(experiment: Experiment, setting: Setting, folder: Path, is_resumed:
     """Open the store of an experiment; more repetitions add pieces and change none."""
     # The fingerprint has the numbers of the law, not its location.
     fixed = asdict(setting) | {"law": setting.law is not None, "repetitions": None}
-    design = design_of(experiment) | {"most_repetitions": None}
-    fingerprint = {"design": design, "setting": fixed, "versions": versions()}
+    design = asdict(experiment) | {"most_repetitions": None}
+    fingerprint = {"design": design, "setting": fixed, "versions": versions(), "format": FORMAT}
     return Store(folder / "progress" / experiment.name, fingerprint, is_resumed)
-
-
-def design_of(experiment: Experiment) -> dict[str, Any]:
-    """The configuration of an experiment."""
-    return asdict(experiment) if is_dataclass(experiment) and not isinstance(experiment, type) else {}
 
 
 def repetition(index: int) -> str:
@@ -132,35 +128,25 @@ def repetition(index: int) -> str:
     return f"repetition-{index:05d}"
 
 
-class ExperimentRun(NamedTuple):
+class Run(NamedTuple):
     """An experiment with its store and its number of repetitions."""
 
     experiment: Experiment
     store: Store
     num: int
 
-    def missing(self) -> list[int]:
-        """Repetitions that are still to be made."""
-        return [index for index in range(self.num) if not self.store.has(repetition(index))]
-
     def tabulated(self, setting: Setting) -> Tables:
         """Make the tables from the stored pieces; a resumed study keeps the times measured before it was killed."""
         repetitions = [self.store.read(repetition(index)) for index in range(self.num)]
-        measure = getattr(self.experiment, "measure", None)
-        measured = {} if measure is None else self.store.kept("measured", lambda: measure(setting))
+        measured = self.store.kept("measured", lambda: self.experiment.measure(setting))
         return self.experiment.tabulate(setting, Pieces(self.store.read(PREPARED), measured, repetitions))
 
 
-def run_all(
-    experiments: Sequence[Experiment], setting: Setting, stores: Sequence[Store], workers: Workers
-) -> list[Tables]:
+def run_all(runs: Sequence[Run], setting: Setting, workers: Workers) -> list[Tables]:
     """Run experiments, with repetitions made by workers.
 
     Times are measured while nothing else runs: at the end, when the timed code has been compiled.
     """
-    most = setting.repetitions
-    nums = [min(most, each.most_repetitions or most) for each in experiments]
-    runs = [ExperimentRun(*each) for each in zip(experiments, stores, nums, strict=True)]
     # Experiments with few repetitions, which are long, come first, so that all workers end together.
     in_order = sorted(runs, key=lambda run: run.num)
     with Progress(len(runs) * (1 + TABULATING), "study, prepare") as bar:
@@ -168,7 +154,7 @@ def run_all(
             left = [run for run in in_order if not run.store.has(PREPARED)]
             for number, piece in pool.each(methodcaller("prepare", setting), [run.experiment for run in left]):
                 left[number].store.keep(PREPARED, piece)
-            missing = [run.missing() for run in in_order]
+            missing = [[k for k in range(run.num) if not run.store.has(repetition(k))] for run in in_order]
             bar.begin("study", sum(1.0 - len(those) / run.num for run, those in zip(in_order, missing, strict=True)))
             todo = [(k, some) for k, those in enumerate(missing) for some in in_rows(those, pool.num_workers)]
             ready = [(run.experiment, run.store.read(PREPARED)) for run in in_order]
@@ -186,8 +172,8 @@ def run_all(
 
 
 def _repeated(
-    setting: Setting, ready: Sequence[tuple[Experiment, PieceOf]], some: tuple[int, Sequence[int]]
-) -> list[PieceOf]:
+    setting: Setting, ready: Sequence[tuple[Experiment, Piece]], some: tuple[int, Sequence[int]]
+) -> list[Piece]:
     """Make some repetitions of one of the experiments; the worker does not affect the results."""
     experiment, prepared = ready[some[0]]
     return [experiment.repeat(setting, prepared, index) for index in some[1]]
@@ -249,8 +235,12 @@ def run_study(
         The workers are unavailable.
     """
     with held_alone(folder / "progress", "study"):
-        stores = [store_of(each, setting, folder, is_resumed) for each in experiments]
-        tables = run_all(experiments, setting, stores, workers)
+        most = setting.repetitions
+        runs = [
+            Run(each, store_of(each, setting, folder, is_resumed), min(most, each.most_repetitions or most))
+            for each in experiments
+        ]
+        tables = run_all(runs, setting, workers)
         sections = {each.name: each.section(setting, of) for each, of in zip(experiments, tables, strict=True)}
         results = StudyResults(setting, tuple(experiments), tuple(tables), sections, versions())
         write_results(results, pictures or {}, folder)
@@ -276,7 +266,7 @@ def _as_dict(results: StudyResults) -> dict[str, Any]:
     return {
         "answer": results.answer,
         "sentences": {name: section.sentences for name, section in results.sections.items()},
-        "experiments": {each.name: design_of(each) for each in results.experiments},
+        "experiments": {each.name: asdict(each) for each in results.experiments},
         "setting": {name: value for name, value in asdict(setting).items() if name not in ("scenes", "law")},
         "scenes": [
             {"name": scene.name, "hides": scene.hides, "grip": np.asarray(scene.grip)} for scene in setting.scenes

@@ -19,6 +19,12 @@ from halfseen.world.scene import Scene
 from halfseen.world.state import Layout, pad_scenes
 
 DEFAULT_REPETITIONS = 40
+CUT_KIND_NAMES = {
+    "independent": "independent cuts",
+    "occlusion": "cuts where much is hidden",
+    "attempt": "the operator's hand",
+}
+"""Kind of cut → its name in text."""
 
 
 @dataclass(frozen=True)

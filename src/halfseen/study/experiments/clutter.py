@@ -1,256 +1,254 @@
-"""The map of the gain of learning over the best heuristic, by clutter and world: Figure 6, with its text."""
+"""Where learning gains over the best heuristic, by clutter and world: Figure 6.
 
-from dataclasses import dataclass
-from functools import partial
+At each place of clutter and costs there are a fresh log, a learned policy, and the heuristics.
+"""
+
+from dataclasses import asdict, dataclass, replace
+from itertools import product, zip_longest
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm
-from matplotlib.figure import Figure
+from scipy import stats
 
-from halfseen.figures import GAINS, INK, WIDTH_INCHES, write_above, write_title
-from halfseen.study.compare import learned_from, records, three, where
-from halfseen.study.experiment import Drawing, Listing, Section, Tables, words
-from halfseen.study.experiments import clutter_places as places
-from halfseen.study.experiments.clutter_places import FACTORS, ClutterDesign, Place, label_number, label_share
-from halfseen.study.policies import HEURISTICS, LEARNED, by_name
+from halfseen.errors import ArgumentError
+from halfseen.figures import MARKERS, learned_shades
+from halfseen.shapes import Float
+from halfseen.study.compare import Frame, Row, ends_of, over_repetitions, where
+from halfseen.study.experiment import Experiment, Piece, Pieces, Tables
+from halfseen.study.experiments.clutter_places import (
+    FACTORS,
+    Place,
+    assumed,
+    check_clutter,
+    label_number,
+    label_share,
+    random_tables,
+)
+from halfseen.study.pipeline import CUT_KIND, EVALUATION, LOGS, PILOT, Source
+from halfseen.study.policies import HEURISTICS, LEARNED, Entrant, by_name
 from halfseen.study.setting import Setting
-from halfseen.wording import MISSING, amount, estimated
 from halfseen.world.config import WorldConfig
+from halfseen.world.cuts import cut_rate
+from halfseen.world.state import pad_scenes
 
-ROW_INCHES, HEAD_INCHES, FOOT_INCHES = 1.42, 0.75, 1.25
-GAP = 0.28  # between the two blocks, in widths of a panel
-STEPS = np.array([-0.25, -0.15, -0.10, -0.05, 0.0, 0.05, 0.10, 0.15, 0.25])
-"""Bounds of the colours, as distances from the worthwhile share."""
-DARK = 0.15  # distance from which a field is so dark that its number is written in white
-MARKS = {places.LEARN: "▲", places.UNDECIDED: "?", places.ENOUGH: "", places.NO_SCALE: ""}
-LABEL_NAMES = {"gain": "labels", "facing": "shown"}
-LABEL_HEADS = {"gain": "share of right labels", "facing": "surface that a look shows"}
-SMALL = 8.0
-NORM = BoundaryNorm(STEPS, GAINS.N, extend="both")
+LEARN = "learn"
+ENOUGH = "heuristic is enough"
+UNDECIDED = "inconclusive"
+NO_SCALE = "heuristic earns nothing"
+"""The heuristic earns next to nothing above FINISH at once, so a share of its earnings is meaningless."""
+MAP_SEED, TABLES = 16, 2
+NEXT_TO_NOTHING = 0.05  # share of the loss of FINISH at once that a heuristic must earn to be a scale
 FEWEST = 3  # with fewer places with a verdict, no factor is reported
-LABEL_WORDS = {"gain": "how often a label is right in full view", "facing": "the surface that one look shows"}
 
 
 @dataclass(frozen=True)
-class Clutter(ClutterDesign):
-    """The experiment; its parameters are those of `ClutterDesign`."""
+class Clutter(Experiment):
+    """The map: at every clutter, the world's own numbers, and each of the variations below by itself.
 
+    Clutter is the number of objects N and the mean hidden share of an object. In each repetition, policies are learned
+    from `num_trajectories` over `num_tables` random tables, with `cut_share` of them cut independently; with `laws`,
+    laws fitted to the same log assist. Learning is worthwhile if it gains more than `worthwhile_share` of what the best
+    heuristic earns above FINISH at once. Scales multiply the world's own quality of labels and spread of grip offsets.
+    """
+
+    num_objects: tuple[int, ...] = (3, 6, 9)
+    occlusions: tuple[float, ...] = (0.1, 0.3, 0.5)
+    label_scales: tuple[float, ...] = (0.5, 1.0, 1.5)
+    wash_clean_rewards: tuple[float, ...] = (-5.0, -10.0, -20.0)
+    grip_scales: tuple[float, ...] = (0.5, 1.0, 1.5)
+    num_trajectories: int = 200
+    cut_share: float = 1 / 2
+    num_tables: int = 20
+    episodes_per_table: int = 10
+    worthwhile_share: float = 0.05
+    laws: bool = True
+    most_repetitions: int | None = 8
     name: ClassVar[str] = "clutter"
 
-    def section(self, setting: Setting, tables: Tables) -> Section:
-        """Say where learning is worthwhile, and where the best heuristic is good enough."""
-        table, draw = tables["map"], partial(draw_map, self, setting, tables["map"])
-        labels, repetitions = LABEL_WORDS[label_number(setting.world)], table["repetitions"].iloc[0]
-        caption = words(self.name, "caption", design=self, setting=setting, labels=labels, repetitions=repetitions)
-        drawing = Drawing("map", "Figure 6", map_title(table, setting.world), caption, draw)
-        sentence = map_sentence(table, self, setting.world)
-        return Section("Where is learning worth it?", (sentence,), (drawing,), (_numbers(table),))
-
-
-def _numbers(table: pd.DataFrame) -> Listing:
-    rules = by_name(*HEURISTICS)
-    cells = {
-        "objects": lambda row: str(row["num_objects"]),
-        "hidden": lambda row: amount(row["occlusion"], 1),
-        "laws": lambda row: "assumed" if row["is_assumed"] else "the study’s",
-        "labels": lambda row: amount(row["labels"]),
-        "washing a clean one": lambda row: amount(row["reward_wash_clean"], 0),
-        "grip spread": lambda row: amount(row["grip_offset_std"], 1),
-        "learned": lambda row: amount(row[LEARNED.name]),
-        "best heuristic": lambda row: f"{amount(row['heuristic_reward'])} ({rules[row['best_heuristic']].label})",
-        "gain [%]": lambda row: estimated(*(100 * row[name] for name in three("gain_share")), decimals=0),
-        "verdict": lambda row: row["verdict"],
-    }
-    return Listing.of("The numbers of Figure 6", "", records(table), cells)
-
-
-class Level(NamedTuple):
-    """Frequency of a verdict at one value of a factor."""
-
-    factor: str
-    value: float
-    num_places: int
-    num_verdicts: int
+    def __post_init__(self) -> None:
+        for clutter in product(self.num_objects, self.occlusions):
+            check_clutter(*clutter)
+        if not 0.0 < self.cut_share < 1.0:
+            raise ArgumentError(f"cut_share of the map is {self.cut_share}; give a share between 0 and 1")
 
     @property
-    def share(self) -> float:
-        """Share of the places."""
-        return self.num_verdicts / self.num_places
+    def contenders(self) -> dict[str, Entrant]:
+        """All contenders, by name."""
+        return by_name(LEARNED, *HEURISTICS)
+
+    def places(self, setting: Setting) -> list[Place]:
+        """All places: every clutter in the world and in each of its variations; and under the assumed laws."""
+        kinds = dict.fromkeys(kind for panels in self.panels(setting) for kind in panels)
+        clutters = product(kinds, self.num_objects, self.occlusions)
+        return [replace(kind, num_objects=num, occlusion=occlusion) for kind, num, occlusion in clutters]
+
+    def panels(self, setting: Setting) -> list[list[Place]]:
+        """Kinds of worlds, as columns of the map.
+
+        These are quality of labels by cost of washing a clean object, with a column for each cost; last the spread of
+        grip offsets, and the assumed laws if the study's differ.
+        """
+        own = Place.of(setting.world)
+        numbers = (min(_scaled_number(own.labels, scale), 1.0) for scale in sorted(self.label_scales))
+        labels = [replace(own, labels=number) for number in numbers]
+        columns = [
+            [replace(each, reward_wash_clean=reward) for each in labels]
+            for reward in sorted(self.wash_clean_rewards, reverse=True)
+        ]
+        spreads = (_scaled_number(own.grip_offset_std, scale) for scale in sorted(self.grip_scales))
+        last = [replace(own, grip_offset_std=spread) for spread in spreads]
+        others = [] if setting.law is None else [Place.of(assumed(setting.world), is_assumed=True)]
+        return [*columns, [*last, *others]]
+
+    def prepare(self, setting: Setting) -> Piece:
+        """Calibrate the cuts at each place, from a pilot of its own."""
+        pilots = (
+            self._source(setting, place, 0).play(self.num_trajectories, MAP_SEED + PILOT)
+            for place in self.places(setting)
+        )
+        return {"rates": [cut_rate(pilot, self.cut_share, CUT_KIND) for pilot in pilots]}
+
+    def repeat(self, setting: Setting, prepared: Piece, index: int) -> Piece:
+        """Learn and play at every place: a row for each, with the mean reward of each policy."""
+        places = zip(self.places(setting), prepared["rates"], strict=True)
+        return {"rows": [self.at(setting, place, rate, index) for place, rate in places]}
+
+    def at(self, setting: Setting, place: Place, rate: float, index: int) -> Row:
+        """Learn and play at one place: the place, and the mean reward of each policy.
+
+        It depends on other places only through the largest N, to which all tables are padded so that one compiled call
+        serves all places.
+        """
+        source = self._source(setting, place, index)
+        episodes = source.play(self.num_trajectories, MAP_SEED + LOGS)
+        cuts = source.cut(episodes, rate, CUT_KIND)
+        learned = source.logged(episodes, laws=self.laws).learn_one(cuts, self.num_trajectories)
+        policies = {LEARNED.name: learned} | {each.name: each.policy(source.world) for each in HEURISTICS}
+        num_episodes = self.num_tables * self.episodes_per_table
+        rewards = {
+            name: source.evaluate(policy, num_episodes, MAP_SEED + EVALUATION).means()["reward"]
+            for name, policy in policies.items()
+        }
+        return asdict(place) | rewards
+
+    def _source(self, setting: Setting, place: Place, index: int) -> Source:
+        """A source of trajectories; at one N all places have the same tables, denser or looser."""
+        rng = np.random.default_rng([setting.seed, index, TABLES, place.num_objects])
+        grips = () if place.is_assumed else setting.grips
+        scenes = random_tables(place.num_objects, place.occlusion, self.num_tables, rng, grips)
+        return Source(place.world(setting.world), pad_scenes(scenes, max(self.num_objects)), setting.seed, index)
+
+    def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
+        """Make the table ``map``, with a row for each place.
+
+        The best heuristic of a place is the one of four with the largest mean reward on the episodes of the comparison:
+        choosing it with hindsight favours it. Columns are num_objects, occlusion, labels, reward_wash_clean,
+        grip_offset_std, is_assumed, num_trajectories, cut_share, repetitions, censored_q, best_heuristic,
+        heuristic_reward, finish_reward, gain, gain_se, gain_share, gain_share_low, gain_share_high and verdict.
+        """
+        places = pieces.rows.groupby([*FACTORS, "is_assumed"], sort=False)
+        rows = [self._row(setting.world, Place(*place), rewards) for place, rewards in places]
+        return {"map": pd.DataFrame(rows)}
+
+    def _row(self, world: WorldConfig, place: Place, met: Frame) -> Row:
+        """One place, from the rewards of all repetitions."""
+        best = met[[each.name for each in HEURISTICS]].mean().idxmax()
+        # Expected reward of FINISH at once: every dirty object is left.
+        finish = place.num_objects * float(world.dirty_share * world.reward_dirty_left)
+        learned, rule = met[LEARNED.name].to_numpy(), met[best].to_numpy()
+        share = gain_share(learned - rule, rule - finish, NEXT_TO_NOTHING * abs(finish))
+        gain = over_repetitions(learned - rule)
+        about = {"num_trajectories": self.num_trajectories, "cut_share": self.cut_share, "repetitions": len(met)}
+        best_rule = {"best_heuristic": best, "heuristic_reward": float(rule.mean()), "finish_reward": finish}
+        earned = {LEARNED.name: float(learned.mean())} | best_rule
+        earned |= {"gain": gain.value, "gain_se": gain.standard_error}
+        earned |= dict(zip(ends_of("gain_share"), share, strict=True))
+        return asdict(place) | about | earned | {"verdict": verdict(share, self.worthwhile_share)}
+
+    def facts(self, setting: Setting, tables: Tables) -> dict[str, Any]:
+        """Maps under the study's and the assumed laws, and at which level of a factor a verdict is most frequent."""
+        own, assumed = (where(tables["map"], is_assumed=is_assumed) for is_assumed in (False, True))
+        telling = {verdict: most_telling(levels(own, verdict)) for verdict in (LEARN, ENOUGH)}
+        columns = self.panels(setting)
+        worlds = [world and {"here": world} for row in zip_longest(*columns) for world in row]
+        sizes = sorted(self.num_objects)
+        looks = zip(sizes, learned_shades(len(sizes)), MARKERS, strict=False)
+        return {
+            "own": own,
+            "assumed": assumed,
+            "telling": telling,
+            "fewest": FEWEST,
+            "label_number": label_number(setting.world),
+            "label_share": label_share,
+            "columns": columns,
+            "worlds": worlds,
+            "height": 1.0 + 2.1 * len(worlds) / len(columns),
+            "default": Place.of(setting.world),
+            "sizes": {num: {"color": colour, "marker": mark, "label": f"{num} objects"} for num, colour, mark in looks},
+        }
 
 
-def map_title(table: pd.DataFrame, world: WorldConfig) -> str:
-    """State the finding of the map in one sentence; places under the assumed laws, if any, are reported separately."""
-    own, assumed = (where(table, is_assumed=is_assumed) for is_assumed in (False, True))
-    pays, enough = (_where(own, verdict, world) for verdict in (places.LEARN, places.ENOUGH))
-    claim = f"Learning pays {pays}; the best heuristic is good enough {enough}"
-    if assumed.empty:
-        return claim
-    pays, enough = (_count(assumed, verdict) for verdict in (places.LEARN, places.ENOUGH))
-    return f"{claim}; under the assumed laws, these are {pays} and {enough} of {len(assumed)}"
+def _scaled_number(number: float, scale: float) -> float:
+    # Rounds the product, as binary arithmetic would show extra digits; the world's own number stays unchanged.
+    return number if scale == 1.0 else float(f"{number * scale:.6g}")
 
 
-def _count(table: pd.DataFrame, verdict: str) -> int:
-    return int((table["verdict"] == verdict).sum())
+class GainShare(NamedTuple):
+    """Gain as a share of the heuristic's earnings above FINISH at once, with its 95 % interval; NaN without a scale."""
+
+    share: float
+    low: float
+    high: float
 
 
-def map_sentence(table: pd.DataFrame, design: ClutterDesign, world: WorldConfig) -> str:
-    """Say where learning is worthwhile and where the best heuristic is good enough, with the evidence."""
-    bound = f"{_in_percent(design.worthwhile_share)} of what the best heuristic earns above finishing at once"
-    lost = int((table["gain_share_high"] < 0).sum())
-    undecided, unscaled = (_count(table, verdict) for verdict in (places.UNDECIDED, places.NO_SCALE))
-    facts = {"title": map_title(table, world), "lost": lost, "undecided": undecided, "unscaled": unscaled}
-    learned = learned_from(design.num_trajectories, design.cut_share)
-    return words("clutter", "sentence", bound=bound, learned_from=learned, **facts)
+def gain_share(gain: Float[np.ndarray, " R"], earned: Float[np.ndarray, " R"], negligible: float) -> GainShare:
+    """Ratio of two paired means with its 95 % confidence interval.
+
+    The interval holds the shares θ for which a t test of E[gain − θ·earned] = 0 does not reject [Fieller1954]_; so it
+    lies above a share θ exactly if the learned policy gains significantly more than that share. `gain` is learned −
+    heuristic, and `earned` heuristic − FINISH at once, by repetition. If the interval of the mean of `earned` extends
+    to `negligible` or below, there is no share.
+    """
+    num = len(gain)
+    t = float(stats.t.ppf(0.975, num - 1))
+    mean_gain, mean_earned = float(np.mean(gain)), float(np.mean(earned))
+    (var_gain, covariance), (_, var_earned) = t**2 / num * np.cov(gain, earned)
+    if mean_earned - np.sqrt(var_earned) <= negligible:
+        return GainShare(np.nan, np.nan, np.nan)
+    a, b, c = mean_earned**2 - var_earned, mean_earned * mean_gain - covariance, mean_gain**2 - var_gain
+    reach = np.sqrt(max(b**2 - a * c, 0.0))
+    return GainShare(mean_gain / mean_earned, float((b - reach) / a), float((b + reach) / a))
 
 
-def _where(table: pd.DataFrame, verdict: str, world: WorldConfig) -> str:
-    """Say in how many places a verdict occurs, and at which values it is most frequent."""
-    num = _count(table, verdict)
-    if num in (0, len(table)):
-        return "everywhere" if num else "nowhere"
-    how_many = f"in {num} of {len(table)} places"
-    level = most_telling(levels(table, verdict))
-    if level is None or level.num_verdicts < FEWEST:
-        return how_many
-    at = factor_words(level.factor, level.value, world)
-    return f"{how_many}, most often where {at} ({level.num_verdicts} of {level.num_places})"
+def verdict(share: GainShare, worthwhile_share: float) -> str:
+    """Position of the interval of the share relative to the worthwhile share."""
+    if np.isnan(share.share):
+        return NO_SCALE
+    if share.low > worthwhile_share:
+        return LEARN
+    return ENOUGH if share.high < worthwhile_share else UNDECIDED
 
 
-def levels(table: pd.DataFrame, verdict: str) -> list[Level]:
+def levels(table: Frame, verdict: str) -> Frame:
     """Frequency of a verdict at each value of each factor, among places with the same other factors.
 
     A value is compared only where all values of its factor were tried with the other factors fixed, which avoids
-    confounding between factors.
+    confounding between factors. Columns are factor, value, num_places, num_verdicts and share.
     """
     found = []
     for factor in FACTORS:
         tried = table.groupby([name for name in FACTORS if name != factor])[factor].transform("nunique")
         compared = table[tried == tried.max()]
-        values = sorted(set(compared[factor]))
-        for value in values if len(values) > 1 else []:
-            verdicts = compared.loc[compared[factor] == value, "verdict"]
-            found.append(Level(factor, float(value), len(verdicts), int((verdicts == verdict).sum())))
-    return found
+        is_met = (compared["verdict"] == verdict).groupby(compared[factor])
+        if is_met.ngroups > 1:
+            counts = is_met.agg(num_places="size", num_verdicts="sum", share="mean")
+            found.append(counts.rename_axis("value").reset_index().assign(factor=factor))
+    return pd.concat(found, ignore_index=True) if found else pd.DataFrame()
 
 
-def most_telling(found: list[Level]) -> Level | None:
+def most_telling(found: Frame) -> Row | None:
     """The level with the largest share, if its factor makes a difference; otherwise None."""
-    least = {factor: min(level.share for level in found if level.factor == factor) for factor, *_ in found}
-    return max(
-        (level for level in found if level.share > least[level.factor]), key=lambda level: level.share, default=None
-    )
-
-
-def factor_words(factor: str, value: float, world: WorldConfig) -> str:
-    """Say that a factor has a value."""
-    if factor == "num_objects":
-        return f"{value:g} objects stand on the table"
-    if factor == "occlusion":
-        return f"{_in_percent(value)} of an object is hidden on average"
-    if factor == "labels":
-        shown = _in_percent(label_share(value, world))
-        if label_number(world) == "facing":
-            return f"a look shows {shown} of the surface of an object"
-        return f"a label in full view is right {shown} of the time"
-    if factor == "reward_wash_clean":
-        ratio = -value / float(world.reward_wash_dirty)
-        return (
-            f"washing a clean cup costs {'as much as' if ratio == 1 else f'{ratio:.3g} times what'} a dirty one earns"
-        )
-    return f"grip offsets spread by {value:.3g}"
-
-
-def _in_percent(share: float) -> str:
-    return f"{_percent(share)} %"
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.3g}"
-
-
-def draw_map(design: ClutterDesign, setting: Setting, table: pd.DataFrame, title: str) -> Figure:
-    """Draw a panel for each world, with a field for each clutter."""
-    columns = _columns(design, setting)
-    by_labels = f"{LABEL_HEADS[label_number(setting.world)]} (down) and cost of washing a clean cup (across)"
-    heads = by_labels, "spread of grip offsets" if setting.law is None else "spread of grips, and laws"
-    num_rows = max(len(panels) for panels in columns)
-    height = HEAD_INCHES + FOOT_INCHES + num_rows * ROW_INCHES
-    figure = Figure(figsize=(WIDTH_INCHES, height))
-    top, bottom = write_title(figure, title) - 0.52 / height, FOOT_INCHES / height
-    widths = [1.0] * (len(columns) - 1) + [GAP, 1.0]
-    grid = figure.add_gridspec(num_rows, len(widths), width_ratios=widths, hspace=0.32, wspace=0.08)
-    grid.update(left=0.06, right=0.99, bottom=bottom, top=top)
-    for column, panels in enumerate(columns):
-        is_last = panels is columns[-1]
-        is_left = column == 0 or is_last
-        for row, (name, here) in enumerate(panels.items()):
-            axes = figure.add_subplot(grid[row, column + is_last])
-            _draw_panel(axes, table, design, here, is_left=is_left, is_lowest=row == len(panels) - 1)
-            default = " (default)" if here == Place.of(setting.world) else ""
-            axes.set_title(f"{name}{default}", loc="left", fontsize=SMALL, pad=3.0)
-            if row == 0 and is_left:
-                write_above(axes, heads[is_last], 19.0)
-    _draw_scale(figure, design.worthwhile_share, height)
-    return figure
-
-
-def _columns(design: ClutterDesign, setting: Setting) -> list[dict[str, Place]]:
-    """Worlds by title: quality of labels by cost of washing a clean cup; last, the spread of grip offsets."""
-    *by_cost, last = design.panels(setting)
-    name = LABEL_NAMES[label_number(setting.world)]
-
-    def labelled(place: Place) -> str:
-        shown = _percent(label_share(place.labels, setting.world))
-        return f"{name} {shown} %, cost {amount(-place.reward_wash_clean, 0)}"
-
-    spreads = {"assumed laws" if each.is_assumed else f"spread {each.grip_offset_std:.3g}": each for each in last}
-    return [*({labelled(each): each for each in panels} for panels in by_cost), spreads]
-
-
-def _draw_panel(
-    axes: Axes, table: pd.DataFrame, design: ClutterDesign, here: Place, *, is_left: bool, is_lowest: bool
-) -> None:
-    """Draw one world: N upwards, occlusion to the right, and in each field the share and the verdict's mark."""
-    sizes, occlusions = sorted(design.num_objects), sorted(design.occlusions)
-    same = [np.isclose(table[name], getattr(here, name)) for name in FACTORS[2:]]
-    is_here = np.logical_and.reduce([*same, table["is_assumed"] == here.is_assumed])
-    rows = table[is_here].set_index(["num_objects", "occlusion"])
-    shares = rows["gain_share"].unstack().loc[sizes, occlusions].to_numpy(dtype=float)
-    verdicts = rows["verdict"].unstack().loc[sizes, occlusions].to_numpy()
-    beyond = np.clip(shares - design.worthwhile_share, 1.01 * STEPS[0], 1.01 * STEPS[-1])
-    axes.pcolormesh(np.ma.masked_invalid(beyond), cmap=GAINS, norm=NORM, edgecolors="white", linewidth=1.0)
-    for y, x in np.ndindex(shares.shape):
-        share, verdict = float(shares[y, x]), verdicts[y, x]
-        number = MISSING if np.isnan(share) else amount(100 * share, 0)
-        colour = "white" if abs(float(beyond[y, x])) >= DARK else INK
-        look: Any = {"ha": "center", "va": "center", "fontsize": SMALL, "color": colour}
-        weight = "bold" if verdict == places.LEARN else "normal"
-        axes.text(x + 0.5, y + 0.5, f"{MARKS[verdict]} {number}".strip(), fontweight=weight, **look)
-    axes.set_xticks(np.arange(len(occlusions)) + 0.5, [_percent(each) for each in occlusions] if is_lowest else [])
-    axes.set_yticks(np.arange(len(sizes)) + 0.5, [str(n) for n in sizes] if is_left else [])
-    axes.tick_params(length=0, labelsize=SMALL)
-    axes.spines[:].set_visible(False)
-    axes.set_xlabel("mean hidden share [%]" if is_lowest else "", fontsize=SMALL)
-    axes.set_ylabel("objects N" if is_left else "", fontsize=SMALL)
-
-
-def _draw_scale(figure: Figure, worthwhile_share: float, height: float) -> None:
-    axes = figure.add_axes((0.06, 0.52 / height, 0.93, 0.11 / height))
-    bar: Any = figure.colorbar(
-        ScalarMappable(NORM, GAINS), cax=axes, orientation="horizontal", spacing="uniform", extendfrac=0.06
-    )
-    bar.set_ticks(STEPS, labels=[amount(100 * (step + worthwhile_share), 0) for step in STEPS])
-    bar.ax.tick_params(length=2, labelsize=SMALL)
-    title = "gain of the learned policy [% of what the best heuristic earns above FINISH at once]"
-    bar.ax.set_title(title, loc="left", fontsize=SMALL, pad=3.0)
-    bound = f"{_percent(worthwhile_share)} %"
-    marks = (
-        f"{MARKS[places.LEARN]} learn: the 95 % interval lies above {bound}      "
-        f"{MARKS[places.UNDECIDED]} inconclusive: it covers {bound}      "
-        f"no mark: the heuristic is good enough, it lies below {bound}"
-    )
-    figure.text(0.06, 0.12 / height, marks, fontsize=SMALL, va="bottom")
+    if not found.empty:
+        found = found[found["share"] > found.groupby("factor")["share"].transform("min")]
+    return None if found.empty else found.loc[found["share"].idxmax()].to_dict()
