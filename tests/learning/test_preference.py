@@ -8,7 +8,14 @@ import pytest
 from trials import log_of
 
 from halfseen.learning import CensoredQLearner
-from halfseen.learning.preference import RIDGES, Stacked, advantages, stacked, with_preference
+from halfseen.learning.preference import (
+    RIDGES,
+    Stacked,
+    advantages,
+    clearly_best,
+    stacked,
+    with_preference,
+)
 from halfseen.logs import Logs
 
 ACTIONS = [f"a{a}" for a in range(10)]
@@ -145,6 +152,15 @@ def test_stacking_is_least_squares_with_errors_by_trajectory():
 )
 def test_in_doubt_the_log_is_followed(coefficients, expected):
     assert Stacked(np.array(coefficients), np.array([0.1, 0.5])).weight(most=7.0) == pytest.approx(expected)
+
+
+def test_a_multiple_must_clearly_bring_more():
+    of_trajectory = np.repeat(np.arange(50), 2)
+    noise = np.random.default_rng(5).normal(size=100)
+    first = np.zeros(100)
+    assert clearly_best(np.stack([first, first + 0.1 * noise, first + 1.0]), of_trajectory) == 2
+    assert clearly_best(np.stack([first, first - 1.0]), of_trajectory) == 0
+    assert clearly_best(np.stack([first, noise - noise.mean()]), of_trajectory) == 0
 
 
 def test_it_counts_less_as_a_log_grows():

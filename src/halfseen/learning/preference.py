@@ -17,7 +17,8 @@ quantities are estimated:
       A_t ≈ c · lead of Q̂ + κ · lead of log b,    τ = (κ + s_κ)⁺ / (c − 2 s_c),
 
   with standard errors s over trajectories, so that in doubt the log is followed. τ is at most 2 σ, σ² the mean of A_t²,
-  and 2 σ if c is not clearly positive.
+  and 2 σ if c is not clearly positive. The largest Q̂ errs more than others. So τ is doubled as often as held-out
+  advantages of what the policy would do, weighted by inverse probability, clearly grow.
 """
 
 from dataclasses import replace
@@ -40,6 +41,10 @@ VALUE_RIDGE = 3.0
 """Ridge penalty of V̂."""
 STANDARD_ERRORS = 2.0
 """By which c is lowered; and σ in the largest τ."""
+MULTIPLES = 2.0 ** np.arange(5)
+"""Multiples of τ that are tried."""
+LEAST_PROBABILITY = 0.01
+"""Lower bound of the probability by which an advantage is divided."""
 CLEARLY, ABOUT = 2.0, 0.1
 """Factor of a probability over chance that shows a preference, and tolerance of its number of actions in a state."""
 
@@ -78,14 +83,27 @@ class _Choices(NamedTuple):
         first = np.zeros(shape) if start is None else start
         return scipy.optimize.minimize(loss_and_slope, first.ravel(), jac=True, method="L-BFGS-B").x.reshape(shape)
 
+    def logged(self, log_chance: Float[np.ndarray, "rows A"]) -> Float[np.ndarray, "rows A"]:
+        """Probabilities of the logging policy: b, and chance where the log explores."""
+        preferred, chance = float(self.weight.mean()), self.is_possible / self.is_possible.sum(axis=1, keepdims=True)
+        return preferred * np.exp(log_chance) + (1.0 - preferred) * chance
+
+    def of_taken(self, each: Float[np.ndarray, "rows A"]) -> Float[np.ndarray, " rows"]:
+        return each[np.arange(len(each)), self.taken]
+
     def lead(
-        self, each: Float[np.ndarray, "rows A"], log_chance: Float[np.ndarray, "rows A"]
+        self, each: Float[np.ndarray, "rows A"], logged: Float[np.ndarray, "rows A"]
     ) -> Float[np.ndarray, " rows"]:
-        """Value of the action taken, less its mean under the logging policy: b, and chance where the log explores."""
-        preferred, finite = float(self.weight.mean()), np.where(self.is_possible, each, 0.0)
-        chance = self.is_possible / self.is_possible.sum(axis=1, keepdims=True)
-        expected = ((preferred * np.exp(log_chance) + (1.0 - preferred) * chance) * finite).sum(axis=1)
-        return finite[np.arange(len(finite)), self.taken] - expected
+        """Value of the action taken, less its mean under the logging policy."""
+        finite = np.where(self.is_possible, each, 0.0)
+        return self.of_taken(finite) - (logged * finite).sum(axis=1)
+
+    def followed(
+        self, q: Float[np.ndarray, "rows A"], tau: float, log_chance: Float[np.ndarray, "rows A"]
+    ) -> Bool[np.ndarray, "M rows"]:
+        """Whether the action taken is that of argmax Q̂ + τ·log b, for each multiple of τ."""
+        scores = (np.where(self.is_possible, q + times * tau * log_chance, -np.inf) for times in MULTIPLES)
+        return np.array([each.argmax(axis=1) == self.taken for each in scores])
 
 
 class Stacked(NamedTuple):
@@ -112,12 +130,17 @@ def with_preference(model: QModel, trajectories: TrajectoryArrays) -> tuple[QMod
     choices = _Choices(standard[known], trajectories.is_possible[known], trajectories.action[known], weight)
     of_trajectory, done = np.nonzero(known)[0], trajectories.is_completed[known]
     ridge, log_b = _held_out(choices, of_trajectory % NUM_FOLDS)
-    leads = [choices.lead(each, log_b)[done] for each in (_held_out_q(model, trajectories)[known], log_b)]
-    advantage = advantages(trajectories, standard)[known][done]
-    found = stacked(np.column_stack(leads), advantage, of_trajectory[done])
-    tau = found.weight(STANDARD_ERRORS * float(np.sqrt(np.mean(advantage**2))))
+    q, logged = _held_out_q(model, trajectories)[known], choices.logged(log_b)
+    advantage = np.where(done, advantages(trajectories, standard)[known], 0.0)
+    leads = np.column_stack([choices.lead(each, logged)[done] for each in (q, log_b)])
+    found = stacked(leads, advantage[done], of_trajectory[done])
+    tau = found.weight(STANDARD_ERRORS * float(np.sqrt(np.mean(advantage[done] ** 2))))
+    if tau > 0:
+        chance = trajectories.probability[known]
+        chance = np.maximum(np.where(np.isnan(chance), choices.of_taken(logged), chance), LEAST_PROBABILITY)
+        tau *= MULTIPLES[clearly_best(choices.followed(q, tau, log_b) * advantage / chance, of_trajectory)]
     behaviour = unscaled(choices.fitted(ridge), mean, scale)
-    return replace(model, behaviour=behaviour, behaviour_weight=tau), (_in_words(found, tau),)
+    return replace(model, behaviour=behaviour, behaviour_weight=float(tau)), (_in_words(found, tau),)
 
 
 def _in_words(found: Stacked, tau: float) -> str:
@@ -138,6 +161,12 @@ def stacked(
     score = np.zeros((int(of_trajectory.max(initial=0)) + 1, leads.shape[1]))
     np.add.at(score, of_trajectory, leads * (advantage - leads @ coefficients)[:, None])
     return Stacked(coefficients, np.sqrt(np.diag(inverse @ (score.T @ score) @ inverse)))
+
+
+def clearly_best(gain: Float[np.ndarray, "M rows"], of_trajectory: Int[np.ndarray, " rows"]) -> int:
+    """Index of the policy whose gain over the first has the largest lower bound, one standard error below it."""
+    more = np.stack([np.bincount(of_trajectory, each) for each in gain - gain[0]])
+    return int(np.argmax(more.mean(axis=1) - more.std(axis=1) / more.shape[1] ** 0.5))
 
 
 def _held_out_q(model: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarray, "n T A"]:
