@@ -4,10 +4,10 @@ python benchmarks/many_actions.py [--sizes 50 128 256] [--logs 5] [--loggers …
 
 The world is `worlds/clinic.py`: sixteen treatments. It is logged by care that tries any treatment in half of the
 visits, or in a fifth, or in four fifths, by chance alone, by one who takes what looks worst in half of them, and by
-rough care, which knows little and tries in half. Each has a world of its own. *learned* is the default; *by Q alone* is its policy without what the log prefers; for *apart*
-the Q of each treatment is fitted to its own rows, too. Values are means of 10,000 fresh trajectories. How far means are
-shrunk was chosen on logs 0 to 2 of the worlds 0, 3 and 4, and how a nat is weighed on logs 100 to 102 of world 20 with
-good and rough care; these are others.
+rough care, which knows little and tries in half. Each has a world of its own. *learned* is the default; *by Q alone* is
+its policy without what the log prefers; for *apart* the Q of each treatment is fitted to its own rows, too. Values are
+means of 10,000 fresh trajectories. How far means are shrunk was chosen on logs 0 to 2 of the worlds 0, 3 and 4, and how
+a nat is weighed on logs of the worlds 20 to 22 with good and rough care; these are others.
 """
 
 import argparse

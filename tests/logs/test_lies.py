@@ -195,7 +195,7 @@ def test_no_verdict_rests_on_probabilities_that_nobody_had_unless_they_are_trust
     trusted = evaluated(stages.assign(probability=0.8125), trajectories, trust=("probabilities",))
     assert trusted.verdict == "better"
     assert trusted.doubly_robust == told.doubly_robust
-    with pytest.raises(ArgumentError, match="trust is 'all'; give some of probabilities, covariates"):
+    with pytest.raises(ArgumentError, match="trust is 'all'; give a list of some of probabilities, covariates"):
         evaluated(stages, trajectories, trust=("all",))
 
 

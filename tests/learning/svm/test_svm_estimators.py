@@ -288,7 +288,7 @@ def test_one_row():
 
 
 def test_few_effective_rows_are_warned_of():
-    with pytest.warns(HalfseenWarning, match=r"6 of 12 were seen.* too few .*record more") as caught:
+    with pytest.warns(HalfseenWarning, match=r"6 of 12 weights are above 0.* too few .*record more") as caught:
         CensoredSVR(reg=1e-2).fit(X[:12], (TIME[:12], np.arange(12) % 2 == 0))
     assert len(caught) == 1
 
