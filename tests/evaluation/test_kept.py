@@ -10,8 +10,9 @@ import pytest
 from halfseen.errors import PolicyError
 from halfseen.evaluation.estimate import around
 from halfseen.evaluation.kept import drifts_of, kept_promise
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
-from halfseen.policies.folder.promised_parts import promised_states
+from halfseen.policies.folder.promised_parts import promised_parts, promised_states
 from halfseen.policies.folder.record import Promise, converted
 
 COLUMNS = ("weight", "shine", "colour", "jams")
@@ -138,3 +139,31 @@ def test_what_is_no_promise_is_refused(promise):
     with pytest.raises((PolicyError, KeyError)):
         converted(promise, Promise)
     converted({"value": None, "stages": PROMISED}, Promise)
+
+
+@pytest.mark.parametrize(
+    ("times", "words"),
+    [
+        (
+            1000.0,
+            "1,000 times as large as in the training log, as if in another unit (thousandths): divide it by 1,000.",
+        ),
+        (
+            1 / 60,
+            "60 times as small as in the training log, as if in another unit (seconds for minutes, or minutes for ",
+        ),
+        (1.3, ""),
+        (10.0, ""),
+    ],
+)
+def test_a_clock_in_another_unit_is_named_first(times, words):
+    """Also where a later state has a category that the policy does not know."""
+    policy = CensoredQLearner(2, ["PICK"], ["weight", "colour"]).fit(log()).policy_
+    promise = {"value": None, "stages": [], **promised_parts(log(), policy)}
+
+    later = log(1, colour=lambda s: s["colour"].where(s.index > 0, "green"))
+    ends = later.trajectories.assign(end_s=later.trajectories["end_s"] * times)
+    later = Logs(later.stages.assign(elapsed_s=later.stages["elapsed_s"] * times), ends)
+    found = kept_promise(promise, later, around(0.5, 0.05, 100, np.inf, 0.95), True, policy).units
+    assert len(found) == bool(words)
+    assert all(each.startswith("the time of a stage is " + words.removesuffix(".")) for each in found)

@@ -120,7 +120,7 @@ def _by_logs(
         answer = evaluated(served, known, censoring=spec.censoring, q=spec.q, **settings)
         is_own, kept = log_digest(logs) == stored.record["log"].get("sha256"), None
         if not is_own and (promise := stored.record.get("promise")) is not None:
-            kept = kept_promise(promise, logs, *earned_here(served, known, spec.q, answer))
+            kept = kept_promise(promise, logs, *earned_here(served, known, spec.q, answer), stored.policy)
     flattered = "the policy was learned from these logs, so the estimate is optimistic; give logs kept aside"
     notes = [*([flattered] if is_own else []), *by_rule, *answer.notes, *of_library]
     report = {

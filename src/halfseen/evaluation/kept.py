@@ -12,8 +12,9 @@ from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.evaluation import Evaluation
 from halfseen.evaluation.off_policy import QSpec
 from halfseen.evaluation.specification import task_of
+from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
-from halfseen.policies.folder.promised_parts import below
+from halfseen.policies.folder.promised_parts import below, outcome_rows, residuals
 from halfseen.policies.shares import action_shares
 
 APART = 0.1
@@ -37,6 +38,9 @@ UNITS = {
     -1.0: "the opposite sign",
 }
 """Factors between units of a covariate, described for multiplication; division is the other way round."""
+CLOCK_UNITS = (60.0, 1e3, 3600.0, 1e6, 1e9)
+FEWEST_TIMES, ABOUT = 20, 1.4
+"""Fewest stages whose durations tell the unit of a clock, and the factor up to which one is met."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,7 @@ class PromiseCheck:
     sentence: str
     """Its return, or estimated return, and the promised one; "" if nothing was promised."""
     units: tuple[str, ...]
-    """Covariates that seem to be in another unit, a sentence each."""
+    """Covariates, and times, that seem to be in another unit, a sentence each."""
     drifts: tuple[str, ...]
     """Other differences of the states, a sentence each."""
 
@@ -65,12 +69,15 @@ def earned_here(policy: Any, logs: Logs, q: QSpec | None, found: Evaluation) -> 
     return (found.logging if is_own else found.doubly_robust), is_own
 
 
-def kept_promise(promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_own: bool) -> PromiseCheck:
+def kept_promise(
+    promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_own: bool, policy: Any = None
+) -> PromiseCheck:
     """Compare a later log, and the return of the policy on it, with a promise.
 
-    `halfseen.policies.folder` stores the promise.
+    `halfseen.policies.folder` stores the promise. Without the policy, times are not compared.
     """
-    promised, drifts = promise["value"], drifts_of(promise["stages"], logs)
+    promised, (units, changes) = promise["value"], drifts_of(promise["stages"], logs)
+    drifts = ((*_other_clock(promise.get("parts", ()), logs, policy), *units), changes)
     if promised is None:
         return PromiseCheck("", *drifts)
     verb = "earned" if is_own else "would earn"
@@ -113,6 +120,28 @@ def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[tuple[
     return tuple(units.values()), tuple(dict.fromkeys(found.values()))
 
 
+def _other_clock(parts: Sequence[Mapping[str, Any]], logs: Logs, policy: Any) -> list[str]:
+    """Name the unit in which stages would last as long as promised; empty if they do, or if there is none."""
+    by_action = {part["action"]: part for part in parts if part["what"] == "duration"}
+    if policy is None or not by_action:
+        return []
+    rows = outcome_rows(logs).dropna(subset=list(policy.covariates))
+    known = rows["action"].astype(str).isin(list(by_action))
+    for name, categories in policy.categories.items():
+        known &= rows[name].isin(categories)
+    rows = rows[known]
+    if len(rows) < FEWEST_TIMES:
+        return []
+    looks_at = Covariates(tuple(policy.covariates), policy.categories)
+    each = [
+        residuals(by_action[action], looks_at.encode(some), some["duration"].to_numpy(float))
+        for action, some in rows.groupby(rows["action"].astype(str))
+    ]
+    longer = float(np.median(np.concatenate(each)))
+    near = [f**power for f in CLOCK_UNITS for power in (1, -1) if abs(longer - power * np.log(f)) < np.log(ABOUT)]
+    return [f"the time of a stage {_unit_words(near[0])}"] if near else []
+
+
 def _other_unit(kept: Mapping[str, Any], values: Any, least: float) -> str:
     """Name the unit in which a number would have the promised distribution; "" if there is none."""
     if "values" not in kept or not pd.api.types.is_numeric_dtype(values.dtype):
@@ -122,14 +151,21 @@ def _other_unit(kept: Mapping[str, Any], values: Any, least: float) -> str:
     best = int(np.argmin(apart))
     if apart[best] > least:
         return ""
-    factor, is_inverse = factors[best], best % 2 == 1
-    what = UNITS[factors[best - is_inverse]]
+    return _unit_words(factors[best])
+
+
+def _unit_words(factor: float) -> str:
+    """Describe what is this many times as large as it should be."""
     if factor == -1.0:
-        return f"has {what} of that in the training log, as if in another direction: multiply it by -1"
-    size = f"{1.0 / factor:,.4g} times as small" if is_inverse else f"{factor:,.4g} times as large"
-    mend = f"multiply it by {1.0 / factor:,.4g}" if is_inverse else f"divide it by {factor:,.4g}"
-    other = " the other way round" if is_inverse else ""
-    return f"is {size} as in the training log, as if in another unit ({what}{other}): {mend}"
+        return f"has {UNITS[factor]} of that in the training log, as if in another direction: multiply it by -1"
+    is_inverse, by = factor not in UNITS, f"{max(factor, 1.0 / factor):,.4g}"
+    size, mend = ("small", "multiply") if is_inverse else ("large", "divide")
+    what = (
+        f"{UNITS[min(UNITS, key=lambda unit: abs(unit * factor - 1.0))]} the other way round"
+        if is_inverse
+        else UNITS[factor]
+    )
+    return f"is {by} times as {size} as in the training log, as if in another unit ({what}): {mend} it by {by}"
 
 
 def _apart(kept: Mapping[str, Any], values: Any) -> float:
