@@ -3,6 +3,8 @@
 from inspect import signature
 from typing import Any, TypeVar
 
+import numpy as np
+
 from halfseen.errors import ArgumentError
 
 Its = TypeVar("Its", bound="Estimator")
@@ -86,3 +88,14 @@ def check_fitted(estimator: object, attribute: str) -> None:
         from sklearn.exceptions import NotFittedError
 
         raise NotFittedError(f"this {type(estimator).__name__} is not fitted yet; call fit first")
+
+
+def is_count(value: object) -> bool:
+    """Whether a value is a whole number of at least 1."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= 1
+
+
+def check_seed(random_state: object) -> None:
+    """Refuse what is no seed; several generators are made of it."""
+    if random_state != 0 and not is_count(random_state):
+        raise ArgumentError(f"random_state is {random_state!r}; it is a seed, a whole number ≥ 0")

@@ -229,8 +229,17 @@ def test_it_follows_scikit_learn(logs):
     assert plain.fit(logs) is plain
     with pytest.raises(NotFittedError):
         clone(plain).q_values(states_of(1), 1)
-    with pytest.raises(ArgumentError, match="stage is 3; give 1 to the horizon, 2"):
+    with pytest.raises(ArgumentError, match="stage is 3; give a whole number, 1 to the horizon, 2"):
         plain.q_values(states_of(1), 3)
+    for stage in ("1", 1.5, True):
+        with pytest.raises(ArgumentError, match="give a whole number, 1 to the horizon, 2"):
+            plain.decide(states_of(1), stage)
+
+
+@pytest.mark.parametrize("given", [None, "logs", pd.DataFrame({"x": [1.0]})])
+def test_what_is_no_log_is_refused(given):
+    with pytest.raises(ArgumentError, match=f"logs is a {type(given).__name__}; give Logs, as read_logs returns"):
+        learner().fit(given)
 
 
 def test_the_actions_cannot_be_forgotten(logs):

@@ -180,9 +180,12 @@ def test_what_cannot_be_asked_is_refused(logs):
     learner.fit(logs)
     with pytest.raises(ArgumentError, match="num_replicates is 1"):
         bootstrap(learner, logs, num_replicates=1)
+    for wrong, words in (({"num_replicates": "3"}, "num_replicates is '3'"), ({"random_state": "x"}, "it is a seed")):
+        with pytest.raises(ArgumentError, match=words):
+            bootstrap(learner, logs, **wrong)
     with pytest.raises(ArgumentError, match="the log has 10 trajectories, but the learner was fitted to 60"):
         bootstrap(learner, logs.select(range(10)))
-    with pytest.raises(ArgumentError, match="stage is 3; give 1 to the horizon, 2"):
+    with pytest.raises(ArgumentError, match="stage is 3; give a whole number, 1 to the horizon, 2"):
         bootstrap(learner, logs, num_replicates=2).decision_shares(pd.DataFrame([indicators(1, 0)]), 3)
     with pytest.raises(ArgumentError, match=r"level is 1\.0"):
         bootstrap(learner, logs, num_replicates=2).q_interval(pd.DataFrame([indicators(1, 0)]), 1, level=1.0)

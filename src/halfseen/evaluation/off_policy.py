@@ -14,6 +14,7 @@ import numpy as np
 
 from halfseen.censoring import CensoringModel
 from halfseen.errors import ArgumentError
+from halfseen.estimator import check_seed
 from halfseen.evaluation.comparison import Contender, compared, deciding, joint_reason, share_of
 from halfseen.evaluation.estimate import around, check_level, estimate_of
 from halfseen.evaluation.evaluation import Evaluation, per_hour
@@ -33,7 +34,6 @@ from halfseen.evaluation.targets import (
 from halfseen.evaluation.verdict import FEWEST_BY_STATES, FEWEST_TRAJECTORIES, why_unknown
 from halfseen.evaluation.weights import Propensity, jackknifed
 from halfseen.learning.judging import FittedValues
-from halfseen.learning.q_model import check_seed
 from halfseen.learning.targets import Targets, targets_of
 from halfseen.learning.task import Task
 from halfseen.logs import Logs

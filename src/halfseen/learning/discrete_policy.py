@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from halfseen.errors import ArgumentError
+from halfseen.estimator import is_count
 from halfseen.lazy import Frame
 from halfseen.learning.behaviour import excess_propensity, log_chances
 from halfseen.learning.covariates import Categories, Covariates
@@ -212,8 +213,8 @@ class DiscretePolicy:
         return np.stack([np.linalg.norm(each[0] + features @ each[1:], axis=1) for each in root], axis=1)
 
     def _check_stage(self, stage: int) -> None:
-        if not 1 <= stage <= self.horizon:
-            raise ArgumentError(f"stage is {stage}; give 1 to the horizon, {self.horizon}")
+        if not (is_count(stage) and stage <= self.horizon):
+            raise ArgumentError(f"stage is {stage!r}; give a whole number, 1 to the horizon, {self.horizon}")
 
 
 def has_margin(policy: Any) -> bool:

@@ -61,10 +61,11 @@ class NamedActions:
         twice = [name for name, count in Counter(self.covariates).items() if count > 1]
         if twice:
             raise ArgumentError(f"covariates names {twice[0]!r} twice; name it once")
-        lists = self.actions if isinstance(self.actions, Mapping) else {"any": self.actions}
+        lists = self.actions if isinstance(self.actions, Mapping) else {None: self.actions}
         for stage, names in lists.items():
             if len(names) == 0 or len(set(names)) < len(names):
-                raise ArgumentError(f"actions of stage {stage} are {list(names)}; name at least one, and none twice")
+                where = "actions" if stage is None else f"actions of stage {stage}"
+                raise ArgumentError(f"{where} are {list(names)}; name at least one, and none twice")
 
     @property
     def names(self) -> list[Hashable]:

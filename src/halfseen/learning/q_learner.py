@@ -16,10 +16,10 @@ import pandas as pd
 
 from halfseen.censoring import CensoringModel, CutModel, WeightDiagnostics
 from halfseen.errors import ArgumentError
-from halfseen.estimator import Estimator, check_fitted
+from halfseen.estimator import Estimator, check_fitted, check_seed, is_count
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.promise import believable
-from halfseen.learning.q_model import QModel, check_seed, is_count
+from halfseen.learning.q_model import QModel, checked_log
 from halfseen.learning.q_space import (
     SMOOTH,
     CrossValidation,
@@ -238,7 +238,7 @@ class CensoredQLearner(Estimator):
         PositivityError
             All trajectories were cut, or a weight is not identified.
         """
-        model = self.compose(logs)
+        model = self.compose(checked_log(logs))
         has_choice = _is_auto(self.stages) and not isinstance(model.space, TabularQ)
         found = believable(partial(learned_from, logs, has_choice=has_choice, workers=workers), model, logs)
         self.model_, self.q_functions_, self.chosen_ = found.model, found.q_functions, found.chosen

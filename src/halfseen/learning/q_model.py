@@ -12,6 +12,7 @@ import numpy as np
 from halfseen.censoring import CensoringSpec, CutModel
 from halfseen.censoring.clocks import StageClocks
 from halfseen.errors import ArgumentError
+from halfseen.estimator import is_count
 from halfseen.learning.behaviour import fit_choice, seen_among
 from halfseen.learning.imputation import DurationModel, fit_duration_model, imputation
 from halfseen.learning.named_task import NamedActions
@@ -41,7 +42,7 @@ from halfseen.learning.sums import Regression
 from halfseen.learning.tabular import StateActions, fit_table
 from halfseen.learning.targets import Targets, Weighted
 from halfseen.learning.task import LearnedQ, RewardedStages, Task
-from halfseen.logs import Logs
+from halfseen.logs import Logs, LogStream
 from halfseen.shapes import Bool, Float, Int
 from halfseen.workers.threads import one_thread
 
@@ -54,15 +55,11 @@ NUM_SUMS = 4
 """Matrices of sums for each fold and block (`sums.Moments`)."""
 
 
-def is_count(value: object) -> bool:
-    """Whether a value is a whole number of at least 1."""
-    return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= 1
-
-
-def check_seed(random_state: object) -> None:
-    """Refuse what is no seed; several generators are made of it."""
-    if random_state != 0 and not is_count(random_state):
-        raise ArgumentError(f"random_state is {random_state!r}; it is a seed, a whole number ≥ 0")
+def checked_log(logs: Any) -> Any:
+    """Refuse what is no log; return the log."""
+    if not isinstance(logs, Logs | LogStream):
+        raise ArgumentError(f"logs is a {type(logs).__name__}; give Logs, as read_logs returns, or a LogStream")
+    return logs
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,10 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError
+from halfseen.estimator import check_seed, is_count
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.learning.q_learner import CensoredQLearner
-from halfseen.learning.q_model import QModel
+from halfseen.learning.q_model import QModel, checked_log
 from halfseen.learning.q_space import TabularQ
 from halfseen.learning.recursion import QFunctions, fit_q, stack_q
 from halfseen.learning.rows import TrajectoryArrays, Transitions
@@ -114,8 +115,10 @@ def bootstrap(
     ArgumentError
         The learner was not fitted to this log, or `num_replicates` is below 2.
     """
-    if num_replicates < 2:
-        raise ArgumentError(f"num_replicates is {num_replicates}; at least 2 are needed")
+    checked_log(logs)
+    check_seed(random_state)
+    if not is_count(num_replicates) or num_replicates < 2:
+        raise ArgumentError(f"num_replicates is {num_replicates!r}; give a whole number of at least 2")
     if not hasattr(learner, "policy_"):
         raise ArgumentError("the learner has no policy_; fit it to this log first")
     if learner.weights_.shape[0] != logs.num_trajectories:

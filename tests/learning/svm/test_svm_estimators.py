@@ -304,6 +304,19 @@ def test_rows_of_other_columns_are_refused_at_predict(model):
         assert "a constant fits" in refusal(lambda: model.score(X[:3], np.ones(3)), ArgumentError)
 
 
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"random_state": "x"}, "random_state is 'x'; it is a seed"),
+        ({"random_state": -1}, "random_state is -1; it is a seed"),
+        ({"tau": "x"}, "tau is 'x'; give a time"),
+        ({"tol": "x"}, "tol is 'x'; give a share"),
+    ],
+)
+def test_parameters_of_another_type_are_refused(parameters, words):
+    assert refusal(lambda: CensoredSVR(reg=1e-2, **parameters).fit(X, Y), ArgumentError).startswith(words)
+
+
 GB = 10**9
 
 

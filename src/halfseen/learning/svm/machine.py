@@ -86,10 +86,14 @@ class CensoredSVM(BaseEstimator):
                 "reg is 0, so the solution with an intercept is not unique; give reg > 0, for example 1e-6, or "
                 "fit_intercept=False"
             )
-        if self.tau is not None and not 0.0 < self.tau < np.inf:
-            raise ArgumentError(f"tau is {self.tau}; give a time > 0 s, or None for times that are not restricted")
-        if not 0 < self.tol < 1:
-            raise ArgumentError(f"tol is {self.tol}; give a share of the objective, in (0, 1)")
+        if self.tau is not None and not (_is_number(self.tau) and 0.0 < self.tau < np.inf):
+            raise ArgumentError(f"tau is {self.tau!r}; give a time > 0 s, or None for times that are not restricted")
+        if not (_is_number(self.tol) and 0 < self.tol < 1):
+            raise ArgumentError(f"tol is {self.tol!r}; give a share of the objective, in (0, 1)")
+        try:
+            np.random.default_rng(self.random_state)
+        except (TypeError, ValueError):
+            raise ArgumentError(f"random_state is {self.random_state!r}; it is a seed, a whole number ≥ 0") from None
 
     def _checked_rows(self, X: Any, is_fit: bool) -> np.ndarray:
         if self.kernel == "set" or isinstance(self.kernel, SetKernel):
