@@ -27,7 +27,7 @@ def test_the_python_example_runs_and_shows_what_is_said_of_it(clone, capsys):
     (example,) = blocks("python")
     exec(compile(example, "README.md", "exec"), {})
     printed = capsys.readouterr().out
-    assert re.search(r"\d+ of \d+ were seen", printed)
+    assert re.search(r"\d+ of \d+ weights are above 0", printed)
     assert re.search(r"^(Better|Not better|Inconclusive): ", printed, flags=re.MULTILINE)
     assert "doubly robust" in printed
 

@@ -95,8 +95,9 @@ def test_a_log_of_chance_alone_prefers_nothing(chance):
     """Chance among fewer actions than are known to be possible is no preference either."""
     log = preferring(3, likes=0.0)
     known = Logs(log.stages.assign(probability=chance), log.trajectories)
-    found = [preference_of(one).behaviour for one in (log, known)]
-    np.testing.assert_array_equal(*found)
+    found = [preference_of(one) for one in (log, known)]
+    np.testing.assert_array_equal(*(each.behaviour for each in found))
+    assert [each.behaviour_weight for each in found] == [0.0, 0.0]
 
 
 def test_advantages_are_those_of_a_loop():
@@ -170,7 +171,7 @@ def test_it_counts_less_as_a_log_grows():
 
 
 def test_a_log_too_short_to_hold_out_is_followed():
-    log = preferring(1, n=12)
+    log = preferring(1, n=18, likes=4.0)
     model, trajectories = laid_out(log)
     x = trajectories.features[..., 0, :]
     noise = np.sqrt(np.mean(advantages(trajectories, (x - x.mean()) / x.std()) ** 2))

@@ -7,9 +7,9 @@ If many actions share few stages, the behaviour policy decides where Q cannot (b
 is the mode of the policy whose Q is regularised by the Kullback–Leibler divergence from b [WuTuckerNachum2019]_. Two
 quantities are estimated:
 
-- *b* is a multinomial logit, shrunk towards uniform choice by the penalty that predicts held-out trajectories best. A
-  log of uniform choices has no preference. If the logged probabilities tell apart what was preferred and what was only
-  explored, b is fitted to the former.
+- *b* is a multinomial logit, shrunk towards uniform choice by the penalty that predicts held-out trajectories best. If
+  the logged probabilities tell apart what was preferred and what was only explored, b is fitted to the former. A log
+  has no preference, τ = 0, unless b predicts other trajectories better than uniform choice by a standard error.
 - *τ* weighs two predictors of what an action earns. The advantage A_t = R_t + V̂(S_{t+1}) − V̂(S_t) of the logged
   action, V̂ the value of the logging policy by least squares [BradtkeBarto1996]_, is regressed on how far the action
   leads the log's average one in Q̂ and in log b, both fitted to other trajectories [Breiman1996]_:
@@ -98,6 +98,12 @@ class _Choices(NamedTuple):
         finite = np.where(self.is_possible, each, 0.0)
         return self.of_taken(finite) - (logged * finite).sum(axis=1)
 
+    def has_preference(self, log_chance: Float[np.ndarray, "rows A"], of_trajectory: Int[np.ndarray, " rows"]) -> bool:
+        """Whether b predicts the actions of other trajectories better than uniform choice, by a standard error."""
+        more = self.weight * (self.of_taken(log_chance) + np.log(self.is_possible.sum(axis=1)))
+        each = np.bincount(of_trajectory, more)
+        return bool(each.sum() > np.sqrt((each**2).sum()))
+
     def followed(
         self, q: Float[np.ndarray, "rows A"], tau: float, log_chance: Float[np.ndarray, "rows A"]
     ) -> Bool[np.ndarray, "M rows"]:
@@ -135,6 +141,8 @@ def with_preference(model: QModel, trajectories: TrajectoryArrays) -> tuple[QMod
     leads = np.column_stack([choices.lead(each, logged)[done] for each in (q, log_b)])
     found = stacked(leads, advantage[done], of_trajectory[done])
     tau = found.weight(STANDARD_ERRORS * float(np.sqrt(np.mean(advantage[done] ** 2))))
+    if not choices.has_preference(log_b, of_trajectory):
+        tau = 0.0
     if tau > 0:
         chance = trajectories.probability[known]
         chance = np.maximum(np.where(np.isnan(chance), choices.of_taken(logged), chance), LEAST_PROBABILITY)
@@ -145,7 +153,7 @@ def with_preference(model: QModel, trajectories: TrajectoryArrays) -> tuple[QMod
 
 def _in_words(found: Stacked, tau: float) -> str:
     if tau == 0:
-        return "the logging policy has no weight: actions that it prefers earned no more"
+        return "the logging policy has no weight: it prefers no actions, or they earned no more"
     return (
         f"the logging policy counts {tau:.3g} of reward for each factor of e in its probability of an action: held "
         f"out, differences in Q were {found.coefficients[0]:.2g} ± {found.errors[0]:.2g} of what they promised"
