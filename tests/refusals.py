@@ -3,8 +3,9 @@
 from contextlib import contextmanager
 
 import pytest
+from jaxtyping import TypeCheckError
 
-from halfseen.errors import HalfseenError
+from halfseen.errors import ArgumentError, HalfseenError
 
 
 @contextmanager
@@ -13,3 +14,11 @@ def refused(told=None, kind=HalfseenError):
     with pytest.raises(kind, match=told) as caught:
         yield caught
     assert "\n" not in str(caught.value)
+
+
+@contextmanager
+def refused_type(told):
+    """Expect a refusal of an argument of another type, which beartype refuses first where shapes are checked."""
+    with pytest.raises((ArgumentError, TypeCheckError), match=f"{told}|Type-check error") as caught:
+        yield caught
+    assert isinstance(caught.value, TypeCheckError) or "\n" not in str(caught.value)

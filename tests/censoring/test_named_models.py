@@ -19,6 +19,7 @@ from halfseen.censoring import (
     uses_covariates,
 )
 from halfseen.errors import ArgumentError
+from refusals import refused_type
 
 RNG = np.random.default_rng(0)
 TIME, IS_FINISHED = RNG.integers(1, 20, 80).astype(float), RNG.random(80) < 0.5
@@ -83,7 +84,7 @@ def test_a_fitted_model_is_not_fitted_again():
     ],
 )
 def test_a_name_that_is_none_and_covariates_that_are_not_used_or_lacking_are_refused(model, covariates, message):
-    with pytest.raises(ArgumentError, match=message):
+    with refused_type(message):
         censoring_weights(TIME, IS_FINISHED, model, covariates=covariates)
 
 

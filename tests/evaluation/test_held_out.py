@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 from enumerated_trial import CHANCE_B, StatePolicy, problem, trial, truth
 
-from halfseen.errors import ArgumentError
 from halfseen.evaluation import FixedSequence, evaluate, held_out_verdict
 from halfseen.evaluation.comparison import Contender, compared
 from halfseen.evaluation.estimate import Estimate
@@ -23,6 +22,7 @@ from halfseen.learning import CensoredQLearner
 from halfseen.learning.discrete_policy import more_cautious, more_cautious_learner
 from halfseen.logs import Logs
 from halfseen.workers import Workers
+from refusals import refused_type
 
 POLICY = StatePolicy((0.9, 0.2))
 log = cache(trial)
@@ -309,5 +309,5 @@ def test_a_guess_of_which_nothing_is_known_says_why():
 
 
 def test_a_policy_in_place_of_a_learner_is_refused():
-    with pytest.raises(ArgumentError, match="learner is a StatePolicy; give a CensoredQLearner"):
+    with refused_type("learner is a StatePolicy; give a CensoredQLearner"):
         held_out_verdict(POLICY, log(16, num_trajectories=100))

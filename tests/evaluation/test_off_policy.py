@@ -13,6 +13,7 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.evaluation import FixedSequence, QSpec, evaluate, held_out_verdict
 from halfseen.learning import CensoredQLearner, DoublyRobust, NamedActions, Unweighted
 from halfseen.logs import Logs
+from refusals import refused_type
 
 TARGET = StatePolicy((0.1, 0.8))
 VALUE, LOGGED = truth(TARGET.chance_b), truth(CHANCE_B)
@@ -319,11 +320,11 @@ def test_what_does_not_fit_is_told_in_one_line(policy, options, message):
 )
 def test_arguments_of_another_type_are_refused_in_one_line(changed, message):
     given = {"logs": log(16, num_trajectories=100)} | changed
-    with pytest.raises(ArgumentError, match=message):
+    with refused_type(message):
         evaluate(TARGET, **given)
 
 
 @pytest.mark.parametrize("sequence", [(), "AB"])
 def test_a_sequence_that_is_empty_or_text_is_refused(sequence):
-    with pytest.raises(ArgumentError, match="give a tuple of names, one for each stage"):
+    with refused_type("give a tuple of names, one for each stage"):
         FixedSequence(sequence)

@@ -12,7 +12,7 @@ from halfseen.learning import CensoredQLearner, DoublyRobust, Weighted, bootstra
 from halfseen.learning.sample import latest, recency_weights
 from halfseen.logs import Logs, LogStream
 from halfseen.workers import Workers
-from refusals import refused
+from refusals import refused, refused_type
 from small_logs import flat_log
 
 BY_STAGE, COVARIATES = {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"]
@@ -181,7 +181,7 @@ def test_what_cannot_be_asked_is_refused(logs):
     with pytest.raises(ArgumentError, match="num_replicates is 1"):
         bootstrap(learner, logs, num_replicates=1)
     for wrong, words in (({"num_replicates": "3"}, "num_replicates is '3'"), ({"random_state": "x"}, "it is a seed")):
-        with pytest.raises(ArgumentError, match=words):
+        with refused_type(words):
             bootstrap(learner, logs, **wrong)
     with pytest.raises(ArgumentError, match="the log has 10 trajectories, but the learner was fitted to 60"):
         bootstrap(learner, logs.select(range(10)))

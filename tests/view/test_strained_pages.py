@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
@@ -17,7 +18,7 @@ from halfseen.view import findings as found_in
 from halfseen.view import page as page_module
 from halfseen.view.findings import find
 from halfseen.view.log_figures import draw_follow_up
-from halfseen.view.log_findings import FollowUp
+from halfseen.view.log_findings import FollowUp, Timeline
 from halfseen.view.page import page_of, write_page
 from halfseen.view.policy_figures import draw_curves, draw_map, draw_values
 from halfseen.view.policy_findings import PolicyMap, QCurve
@@ -124,11 +125,9 @@ def test_rewards_an_hour_have_a_power_of_ten_in_both_numbers():
 
 
 def test_a_single_cause_is_named_as_the_cause_of_all():
-    class Shown:
-        num_trajectories = 2
-
+    shown = Timeline(2, (), np.zeros(0), pd.DataFrame())
     log = {"finishes": {"median_s": 3.0}, "cuts": [{"cause": "operator", "median_s": 2.0}]}
-    told = timeline_title(Shown(), log).replace("\u00a0", " ")
+    told = timeline_title(shown, log).replace("\u00a0", " ")
     assert told.endswith("half of those that were cut, all by operator, had run for 2.00 s or less")
 
 

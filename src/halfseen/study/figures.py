@@ -83,7 +83,7 @@ def _draw_panel(axes: Axes, panel: dict[str, Any], facet: dict[str, Any], value:
         pages.draw_zero(axes, *value(panel["zero"]))
     labels = [label for layer in panel["layers"] for label in _draw_layer(axes, layer, facet, value)]
     if "sizes" in panel:
-        pages.mark_sizes(axes, value(panel["sizes"]))
+        pages.mark_sizes(axes, [int(size) for size in value(panel["sizes"])])
     if "margins" in panel:
         sizes, (before, after) = value(panel["sizes"]), panel["margins"]
         axes.set_xlim(min(sizes) / before, max(sizes) * after)

@@ -204,7 +204,7 @@ def _scored(pieces: Pieces, alpha: float) -> tuple[Frame, Frame]:
     cells = pieces.rows.groupby(["num_tables", "model"], sort=False)
     sums = {(*cell, measure): aligned(some[measure]) for cell, some in cells for measure in models.MEASURES}
 
-    def over(size: int, model: str, measure: str, rival: str) -> Estimate:
+    def over(size: int | np.integer, model: str, measure: str, rival: str) -> Estimate:
         return mean_of(sums[size, model, measure] - sums[size, rival, measure], weights)
 
     scores, tests = [], []

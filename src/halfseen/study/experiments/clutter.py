@@ -148,7 +148,7 @@ class Clutter(Experiment):
         heuristic_reward, finish_reward, gain, gain_se, gain_share, gain_share_low, gain_share_high and verdict.
         """
         places = pieces.rows.groupby([*FACTORS, "is_assumed"], sort=False)
-        rows = [self._row(setting.world, Place(*place), rewards) for place, rewards in places]
+        rows = [self._row(setting.world, _place_of(key), rewards) for key, rewards in places]
         return {"map": pd.DataFrame(rows)}
 
     def _row(self, world: WorldConfig, place: Place, met: Frame) -> Row:
@@ -252,3 +252,10 @@ def most_telling(found: Frame) -> Row | None:
     if not found.empty:
         found = found[found["share"] > found.groupby("factor")["share"].transform("min")]
     return None if found.empty else found.loc[found["share"].idxmax()].to_dict()
+
+
+def _place_of(key: Any) -> Place:
+    """The place of a group of rows, whose key has NumPy's types."""
+    num_objects, *numbers, is_assumed = key
+    fields: list[Any] = [int(num_objects), *map(float, numbers), bool(is_assumed)]
+    return Place(*fields)
