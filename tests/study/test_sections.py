@@ -12,9 +12,8 @@ from matplotlib.text import Text
 
 from examples import GRASP, PLANNING, REWARD, example
 from halfseen.figures import drawn, style
-from halfseen.study.compare import row_of, where
+from halfseen.study.compare import over_peer, row_of, where
 from halfseen.study.experiments import EXPERIMENTS
-from halfseen.study.experiments.reward import over_peer
 
 BY_NAME = pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda each: each.name)
 

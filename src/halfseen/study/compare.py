@@ -165,3 +165,25 @@ def grouped(values: Iterable[Any], key: Callable[[Any], Any]) -> dict[Any, list[
     for each in values:
         found.setdefault(key(each), []).append(each)
     return found
+
+
+def by_verdict(rows: Sequence[Row]) -> dict[str, Any]:
+    """Where one of two policies earns more: by verb, sizes of logs by the proportions that were cut."""
+    found = grouped(
+        (row for row in rows if row["supported"]), lambda row: "earns more" if row["effect"] > 0 else "earns less"
+    )
+    places = {}
+    for verb in sorted(found, reverse=True):
+        shares = grouped(found[verb], lambda row: row["num_trajectories"])
+        places[verb] = grouped(shares, lambda size, of=shares: tuple(row["cut_share"] for row in of[size]))
+    return {"places": places, "is_all": sum(map(len, found.values())) == len(rows)}
+
+
+def over_peer(
+    learned: Float[np.ndarray, " B"], mean: Float[np.ndarray, " B"], some: Sequence[int], own: Float[np.ndarray, " E"]
+) -> float:
+    """Gain of the learned policy over the planner, which earned `own` on `some` of the B episodes.
+
+    `mean` is the control variate, the mean of all learned policies (see `experiments.reward`).
+    """
+    return float((learned - mean).mean() + (mean[list(some)] - own).mean())

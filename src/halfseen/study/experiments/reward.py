@@ -8,8 +8,7 @@ between the learned policy and the planner is
     mean (learned − M), on all episodes  +  mean (M − planner), on those that the planner played,
 
 one number per repetition. It is unbiased for any M, as each repetition has fresh episodes. M, being a mean, is closer
-to the planner than any one policy: on an episode a planner and M differ by some 0.25, and a policy learned from 25
-trajectories and M by 0.9.
+to the planner than any one policy: by some 0.25 on an episode, where one learned from 25 trajectories is 0.9 from M.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,7 +21,6 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from halfseen.errors import ArgumentError
-from halfseen.shapes import Float
 from halfseen.study import compare
 from halfseen.study import policies as who
 from halfseen.study.compare import MEAN, Frame, Row, four, grouped, means, records, row_of, where, wide
@@ -200,7 +198,7 @@ class Reward(Experiment):
         for rank, place in enumerate(learned):
             some = episodes_in_turn(source.index * len(learned) + rank, self.fitted_episodes, len(mean))
             (own,) = source.control_each([self.peer.policy(fitted[place])], some, start)
-            gap = over_peer(learned[place], mean, some, own.reward)
+            gap = compare.over_peer(learned[place], mean, some, own.reward)
             rows.append(dict(zip(KEYS, place, strict=True)) | {"over_peer": gap})
         return rows
 
@@ -288,8 +286,8 @@ class Reward(Experiment):
             "best_planner": row_of(figure1, role=BEST[1])["policy"],
             "enough": grouped(self.cut_shares, lambda cut_share: sufficient(figure1, cut_share)),
             "verdicts": {name: grouped(records(table1, measure=name), compare.verdict_of) for name in MEASURES[:2]},
-            "by_means": by_verdict(records(peer, cut_share=None)),
-            "by_proportions": by_verdict(records(peer[peer["cut_share"].notna()])),
+            "by_means": compare.by_verdict(records(peer, cut_share=None)),
+            "by_proportions": compare.by_verdict(records(peer[peer["cut_share"].notna()])),
             "ms": {name: f"  ({significant(value, 2)} ms)" for name, value in times.items()},
             "ways": self._ways(setting, figure1),
         }
@@ -338,25 +336,6 @@ def sufficient(figure1: Frame, cut_share: float) -> int | None:
     too_few = np.flatnonzero(~(rows["gain_low"] > 0))
     enough = rows["num_trajectories"].iloc[too_few[-1] + 1 if len(too_few) else 0 :]
     return None if enough.empty else int(enough.iloc[0])
-
-
-def by_verdict(rows: Sequence[Row]) -> dict[str, Any]:
-    """Where one of two policies earns more: by verb, sizes of logs by the proportions that were cut."""
-    found = grouped(
-        (row for row in rows if row["supported"]), lambda row: "earns more" if row["effect"] > 0 else "earns less"
-    )
-    places = {}
-    for verb in sorted(found, reverse=True):
-        shares = grouped(found[verb], lambda row: row["num_trajectories"])
-        places[verb] = grouped(shares, lambda size, of=shares: tuple(row["cut_share"] for row in of[size]))
-    return {"places": places, "is_all": sum(map(len, found.values())) == len(rows)}
-
-
-def over_peer(
-    learned: Float[np.ndarray, " B"], mean: Float[np.ndarray, " B"], some: Sequence[int], own: Float[np.ndarray, " E"]
-) -> float:
-    """Gain of the learned policy over the planner, which earned `own` on `some` of the B episodes."""
-    return float((learned - mean).mean() + (mean[list(some)] - own).mean())
 
 
 def _beside(name: str, headline: Played, episodes: Sequence[int], played: Played) -> Row:
