@@ -15,6 +15,7 @@ memory does, the file ``--memory`` keeps what stood when the power went, one lin
 import argparse
 import asyncio
 import json
+import logging
 import sys
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
@@ -219,4 +220,11 @@ def _arguments() -> argparse.Namespace:
 
 if __name__ == "__main__":
     with suppress(KeyboardInterrupt):
-        asyncio.run(main(_arguments()))
+        given = _arguments()
+        # asyncua logs a traceback of what is refused below in one line.
+        logging.getLogger("asyncua.server").setLevel(logging.CRITICAL)
+        try:
+            asyncio.run(main(given))
+        except OSError as error:
+            print(f"{given.url}: {error.strerror}; end what listens there, or give another --url", file=sys.stderr)
+            sys.exit(2)

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import socket
 import subprocess
 import sys
 import time
@@ -266,6 +267,17 @@ def process(*words):
 def halfseen(*words):
     command = [sys.executable, *HALFSEEN, *map(str, words)]
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+def test_a_cell_whose_port_is_taken_says_so_in_one_line():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        url = f"opc.tcp://127.0.0.1:{taken.getsockname()[1]}"
+        ended = subprocess.run([sys.executable, CELL, "--url", url], check=False, capture_output=True, text=True)
+    assert ended.returncode == 2
+    assert ended.stderr.count("\n") == 1
+    assert ended.stderr.startswith(f"{url}: ")
 
 
 def lines_of(memory, least):
