@@ -157,7 +157,7 @@ ASKS_FOR = {
     "export": ("onnx",),
     "watch": ("watch",),
     "report": ("study",),
-    "convert": ("minari", "hdf5", "mcap", "ros", "sql", "stores"),
+    "convert": ("excel", "minari", "hdf5", "mcap", "ros", "sql", "stores"),
     "learn": ("stores",),
     "look": ("perception",),
     "simulate": ("perception",),
@@ -165,7 +165,7 @@ ASKS_FOR = {
     "study": ("study", "ray", "dask"),
 }
 """Command → the extras that it asks for, some of which hold others."""
-ON_DEMAND = ("minari", "hdf5", "mcap", "ros", "sql", "ray", "dask", "stores", "opcua")
+ON_DEMAND = ("excel", "minari", "hdf5", "mcap", "ros", "sql", "ray", "dask", "stores", "opcua")
 """Extras that a format, an engine or a wire alone needs: pale dots."""
 
 PICTURES = (

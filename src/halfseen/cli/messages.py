@@ -29,6 +29,7 @@ EXTRAS = {
     "jax": ("jax",),
     "pettingzoo": ("pettingzoo",),
     "minari": ("minari",),
+    "excel": ("openpyxl",),
     "hdf5": ("h5py",),
     "mcap": ("mcap", "mcap_protobuf"),
     "ros": ("rosbags",),
