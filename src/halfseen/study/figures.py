@@ -69,6 +69,8 @@ def draw_figure(of: dict[str, Any], value: Value, text: Text, title: str) -> Fig
             axes.remove()
         else:
             _draw_panel(axes, panel, facet, value, text)
+    if "up" in of:
+        figure.supylabel(text(of["up"]), x=0.012, fontsize=8.5)
     if legend := dict(of.get("legend", {})):
         known, height = pages.named_curves(*panels[::-1]), begin - value(legend.pop("below"))
         names = [value("labels")[key] for key in legend.pop("of", [])]
