@@ -35,7 +35,7 @@ from typing import Literal
 
 import numpy as np
 
-from halfseen.evaluation.estimate import Estimate, crossing
+from halfseen.evaluation.estimate import Estimate
 from halfseen.shapes import Float
 
 Verdict = Literal["better", "not better", "inconclusive"]
@@ -247,8 +247,9 @@ def undone_at(difference: Estimate, excess: Float[np.ndarray, "n T"], error: Flo
     signed = error if is_above else -error
     if lead + shift(excess, signed, STRONGEST) > 0:
         return STRONGEST
-    log_gamma = crossing(lambda each: lead + shift(excess, signed, exp(each)), 0.0, log(STRONGEST))
-    return exp(log_gamma)
+    from scipy.optimize import brentq
+
+    return exp(brentq(lambda each: lead + shift(excess, signed, exp(each)), 0.0, log(STRONGEST)))
 
 
 def in_words(gamma: float) -> str:
