@@ -8,12 +8,9 @@ import pandas as pd
 import pytest
 from enumerated_trial import StatePolicy, specified, trial
 from scipy import stats
-from sklearn.linear_model import LogisticRegression
-from sklearn.preprocessing import PolynomialFeatures, StandardScaler
-from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
+from sklearn.tree import DecisionTreeRegressor
 
 from halfseen.evaluation import Baseline, QSpec, evaluate, off_policy
-from halfseen.evaluation import logging_rule as rule_models
 from halfseen.evaluation.estimate import estimate_of
 from halfseen.evaluation.exploring import (
     LARGEST_SHARE,
@@ -25,7 +22,7 @@ from halfseen.evaluation.exploring import (
     _shares,
     exploration_of,
 )
-from halfseen.evaluation.logging_rule import forest_shares, logging_rule, logit_shares
+from halfseen.evaluation.logging_rule import forest, logging_rule, logit, products, ranks
 from halfseen.evaluation.off_policy import judging, q_model_of
 from halfseen.evaluation.specification import with_second_order
 from halfseen.evaluation.weights import nuisances_by_folds, nuisances_of
@@ -208,54 +205,31 @@ def test_cuts_widen_the_interval():
     assert cut.doubly_robust.standard_error > 1.5 * uncut.doubly_robust.standard_error
 
 
-# The small models of a rule against scikit-learn's of the same kind
-NUM_ROWS, NUM_ACTIONS = 400, 3
+NUM_ROWS = 400
 RNG = np.random.default_rng(0)
-# States that float32 holds exactly, noisy actions, and weights.
-STATES = RNG.normal(size=(NUM_ROWS, 3)).astype(np.float32).astype(np.float64)
+STATES = RNG.normal(size=(NUM_ROWS, 3))
 BY_RULE = np.where(STATES[:, 0] > 0.2, 0, np.where(STATES[:, 1] * STATES[:, 2] > 0.0, 1, 2))
-ACTION = np.where(RNG.random(NUM_ROWS) < 0.2, RNG.integers(NUM_ACTIONS, size=NUM_ROWS), BY_RULE)
-WEIGHT = RNG.uniform(0.5, 2.0, size=NUM_ROWS)
-VOTES = WEIGHT[:, None] * (ACTION[:, None] == np.arange(NUM_ACTIONS))
-EACH = np.arange(NUM_ROWS)
+ACTION = np.where(RNG.random(NUM_ROWS) < 0.2, RNG.integers(3, size=NUM_ROWS), BY_RULE)
 
 
-@pytest.mark.parametrize("least", [1, 3, 20])
-def test_a_tree_is_that_of_scikit_learn(least, monkeypatch):
-    monkeypatch.setattr(rule_models, "PURE", 1.0 - 1e-12)
-    fitted = EACH < 250
-    found = rule_models._tree_shares(STATES[fitted], VOTES[fitted], STATES, least)
-    tree = DecisionTreeClassifier(min_samples_leaf=least, random_state=0)
-    expected = tree.fit(STATES[fitted], ACTION[fitted], sample_weight=WEIGHT[fitted]).predict_proba(STATES)
-    np.testing.assert_allclose(found[fitted], expected[fitted], atol=1e-12)
-    # Between rows of a small leaf several features part the votes equally well, and either takes its own.
-    alike = np.isclose(found, expected, atol=1e-12).all(axis=1)
-    assert alike.all() if least == 20 else alike.mean() > 0.98
+@pytest.mark.parametrize(("model", "design_of"), [(forest, ranks), (logit, products)])
+def test_a_model_of_the_rule_is_close_the_same_again_and_right_where_values_are_alike_or_huge(model, design_of):
+    def guess(states):
+        design = design_of(states)
+        return model(NUM_ROWS).fit(design, ACTION).predict(design)
+
+    np.testing.assert_array_equal(guess(STATES), guess(STATES))
+    assert (guess(STATES) == BY_RULE).mean() > 0.75
+    huge = np.column_stack([np.ones(NUM_ROWS), np.where(ACTION == 0, 1e150, -1e150)])
+    assert (guess(huge)[ACTION == 0] == 0).all()
 
 
-@pytest.mark.parametrize(("num_covariates", "degree"), [(3, 2), (30, 1)])
-def test_the_logit_is_that_of_scikit_learn_and_has_products_where_they_are_fewer_than_rows(
-    num_covariates, degree, monkeypatch
-):
-    monkeypatch.setattr(rule_models, "TOLERANCE", 1e-7)
-    monkeypatch.setattr(rule_models, "MOST_STEPS", 5000)
-    states = np.column_stack([STATES, np.random.default_rng(1).normal(size=(NUM_ROWS, num_covariates - 3))])
-    scaled = StandardScaler().fit_transform(states)
-    design = PolynomialFeatures(degree, include_bias=False).fit_transform(scaled)
-    logit = LogisticRegression(C=1.0 / rule_models.RIDGE, tol=1e-9, max_iter=5000)
-    expected = logit.fit(design, ACTION, sample_weight=WEIGHT).predict_proba(design)
-    np.testing.assert_allclose(logit_shares(states, VOTES, EACH), expected, atol=1e-4)
-
-
-@pytest.mark.parametrize("shares", [forest_shares, logit_shares])
-def test_as_it_stands_it_is_close_the_same_again_and_finite_where_values_are_alike_or_huge(shares):
-    found = shares(STATES, VOTES, EACH)
-    np.testing.assert_allclose(found.sum(axis=1), 1.0)
-    np.testing.assert_array_equal(found, shares(STATES, VOTES, EACH))
-    assert (found.argmax(axis=1) == ACTION).mean() > 0.75
-    found = shares(np.column_stack([np.ones(NUM_ROWS), np.where(ACTION == 0, 1e150, -1e150)]), VOTES, EACH)
-    assert (found.argmax(axis=1)[ACTION == 0] == 0).all()
-    assert np.isfinite(found).all()
+@pytest.mark.parametrize(("num_rows", "num_columns"), [(10, 9), (9, 3)])
+def test_products_are_added_unless_they_outnumber_the_rows(num_rows, num_columns):
+    states = RNG.normal(5.0, 2.0, size=(num_rows, 3))
+    found = products(states)
+    assert found.shape == (num_rows, num_columns)
+    np.testing.assert_allclose(found[:, :3], (states - states.mean(axis=0)) / states.std(axis=0))
 
 
 POLICY = StatePolicy((1.0, 0.0))

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.evaluation.logging_rule import best_threshold
+from halfseen.evaluation.logging_rule import ranks
 from halfseen.evaluation.marginal import laid_out
 from halfseen.evaluation.off_policy import Case
 from halfseen.learning.covariates import is_numeric
@@ -179,44 +179,30 @@ def _written(limit: float, values: Float[np.ndarray, " m"]) -> str:
     return next((text for text in texts if np.mean((values <= float(text)) != is_low) <= FEW_MOVED), repr(limit))
 
 
-class _Part(NamedTuple):
-    """Rows within limits, and their best split in two."""
-
-    limits: dict[int, tuple[float, float]]
-    rows: Int[np.ndarray, " l"]
-    gain: float
-    column: int
-    threshold: float
-
-
 def _leaves(
     columns: Float[np.ndarray, "m G"], hangs: Float[np.ndarray, " m"], rows: Int[np.ndarray, " k"]
 ) -> list[tuple[dict[int, tuple[float, float]], Int[np.ndarray, " l"]]]:
     """Limits and rows of each region: a regression tree that splits best-first [BreimanEtAl1984]_."""
-    parts = [_Part({}, rows, *_best_split(columns[rows], hangs[rows]))]
-    while len(parts) < MOST_REGIONS:
-        one = max(parts, key=lambda part: part.gain)
-        if one.gain <= 0.0:
-            break
-        parts.remove(one)
-        is_low = columns[one.rows, one.column] <= one.threshold
-        low, high = one.limits.get(one.column, (-np.inf, np.inf))
-        for limits, kept in (((low, one.threshold), one.rows[is_low]), ((one.threshold, high), one.rows[~is_low])):
-            split = _best_split(columns[kept], hangs[kept])
-            parts.append(_Part(one.limits | {one.column: limits}, kept, *split))
-    return [(part.limits, part.rows) for part in parts]
+    from sklearn.tree import DecisionTreeRegressor
 
-
-def _best_split(columns: Float[np.ndarray, "m G"], hangs: Float[np.ndarray, " m"]) -> tuple[float, int, float]:
-    """Reduction of the squared error, column and threshold of the best split; no gain if a side has too few stages."""
-    num, least = len(hangs), FEWEST_STAGES
-    if num < 2 * least or not columns.shape[1]:
-        return 0.0, 0, 0.0
-    order = np.argsort(columns, axis=0, kind="stable")
-    left, size = hangs[order].cumsum(axis=0)[least - 1 : num - least], np.arange(least, num - least + 1)[:, None]
-    total = hangs.sum()
-    gains = left**2 / size + (total - left) ** 2 / (num - size) - total**2 / num
-    return best_threshold(np.take_along_axis(columns, order, axis=0), gains, least)
+    if not columns.shape[1] or len(rows) < 2 * FEWEST_STAGES:
+        return [({}, rows)]
+    ordered, found = ranks(columns), []
+    model = DecisionTreeRegressor(max_leaf_nodes=MOST_REGIONS, min_samples_leaf=FEWEST_STAGES, random_state=0)
+    tree = model.fit(ordered[rows], hangs[rows]).tree_
+    nodes = [(0, {}, rows)]
+    while nodes:
+        node, limits, kept = nodes.pop()
+        if tree.children_left[node] == tree.children_right[node]:
+            found.append((limits, kept))
+            continue
+        column, values = int(tree.feature[node]), columns[kept, tree.feature[node]]
+        is_low = ordered[kept, column] <= tree.threshold[node]
+        threshold = float(values[is_low].max() + values[~is_low].min()) / 2.0
+        low, high = limits.get(column, (-np.inf, np.inf))
+        nodes.append((tree.children_right[node], limits | {column: (threshold, high)}, kept[~is_low]))
+        nodes.append((tree.children_left[node], limits | {column: (low, threshold)}, kept[is_low]))
+    return found
 
 
 def _allotted(leaves: Sequence[_Leaf]) -> list[float]:

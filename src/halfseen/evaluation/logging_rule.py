@@ -13,17 +13,16 @@ on the rule a*(S) = argmax_a b(a | S).
 Each trajectory is evaluated with a model fitted without it; a model fitted to a trajectory's own actions would agree
 with them too often.
 
-Two models map states to actions by weighted votes: thresholds (bagged trees) and smooth borders (a logit). Either is
-fitted to rows of a log and returns the shares of all rows. They are small on purpose: a rule has a few thresholds or
-one border, and scikit-learn's equivalents take longer to import than these to fit.
+Two models of scikit-learn map states to actions: thresholds (bagged trees) and smooth borders (a logit). They are small
+on purpose: a rule has a few thresholds or one border.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from math import comb
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.arrays import softmax
 from halfseen.evaluation.marginal import states_of
 from halfseen.learning.behaviour import conditional_logit
 from halfseen.learning.named_task import NamedActions
@@ -32,121 +31,39 @@ from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float, Int
 
-NUM_TREES, LEAF_SIZE, MOST_LEAVES, PURE = 12, 3, 256, 0.99
-"""Leaves have at least `LEAF_SIZE` rows, and enough that there are at most `MOST_LEAVES`. A node in which one action
-has the share `PURE` of the votes is not split."""
-RIDGE, MOST_STEPS, TOLERANCE = 0.1, 300, 1e-4
-"""Penalty ½·RIDGE·‖β‖² added to a log-likelihood summed over rows; largest number of steps; and the change of the
-coefficients, as a share of the largest, at which they stop."""
+NUM_TREES, LEAF_SIZE, MOST_LEAVES = 12, 3, 256
+"""Leaves have at least `LEAF_SIZE` rows, and enough that there are at most `MOST_LEAVES`."""
+RIDGE = 0.1
+"""Penalty ½·RIDGE·‖β‖² added to a log-likelihood summed over rows."""
 
 
-Shares = Callable[
-    [Float[np.ndarray, "rows F"], Float[np.ndarray, "fitted A"], Int[np.ndarray, " fitted"]],
-    Float[np.ndarray, "rows A"],
-]
-"""States of all rows, votes of the training rows, and the indices of these → share of each action in every row."""
+def forest(num_rows: int) -> Any:
+    """Bagged classification trees [BreimanEtAl1984]_ for so many rows."""
+    from sklearn.ensemble import RandomForestClassifier
+
+    least = max(LEAF_SIZE, -(-num_rows // MOST_LEAVES))
+    return RandomForestClassifier(NUM_TREES, max_features=None, min_samples_leaf=least, random_state=0)
 
 
-def forest_shares(
-    states: Float[np.ndarray, "rows F"], votes: Float[np.ndarray, "fitted A"], fitted: Int[np.ndarray, " fitted"]
-) -> Float[np.ndarray, "rows A"]:
-    """Mean share of each action in the leaves of `NUM_TREES` classification trees [BreimanEtAl1984]_, bagged.
+def logit(num_rows: int) -> Any:
+    """Multinomial logit."""
+    from sklearn.linear_model import LogisticRegression
 
-    Parameters
-    ----------
-    states
-        Of all rows.
-    votes
-        Weight of a row for the action taken, 0 for the others.
-    fitted
-        Rows to grow the trees on.
-    """
-    rng, shares = np.random.default_rng(0), np.zeros((len(states), votes.shape[1]))
-    least = max(LEAF_SIZE, -(-len(fitted) // MOST_LEAVES))
-    for _ in range(NUM_TREES):
-        times = np.bincount(rng.integers(len(fitted), size=len(fitted)), minlength=len(fitted))
-        drawn = np.flatnonzero(times)
-        shares += _tree_shares(states[fitted[drawn]], votes[drawn] * times[drawn, None], states, least)
-    return shares / NUM_TREES
+    return LogisticRegression(C=1.0 / RIDGE, solver="newton-cholesky")
 
 
-def _tree_shares(
-    states: Float[np.ndarray, "n F"], votes: Float[np.ndarray, "n A"], asked: Float[np.ndarray, "m F"], least: int
-) -> Float[np.ndarray, "m A"]:
-    """Grow a tree and evaluate it for the queried rows."""
-    shares = np.empty((len(asked), votes.shape[1]))
-    nodes = [(np.arange(len(states)), np.arange(len(asked)))]
-    while nodes:
-        rows, sent = nodes.pop()
-        total = votes[rows].sum(axis=0)
-        is_mixed = len(sent) and total.max() < PURE * total.sum()
-        split = _best_split(states[rows], votes[rows], least) if is_mixed else None
-        if split is None:
-            shares[sent] = total / total.sum()
-            continue
-        is_left, goes_left = (each[:, split[0]] <= split[1] for each in (states[rows], asked[sent]))
-        nodes += [(rows[is_left], sent[goes_left]), (rows[~is_left], sent[~goes_left])]
-    return shares
+def ranks(states: Float[np.ndarray, "rows F"]) -> Int[np.ndarray, "rows F"]:
+    """Ranks of covariates: trees do not depend on their scale, and scikit-learn's have single precision."""
+    return np.column_stack([np.unique(column, return_inverse=True)[1] for column in states.T])
 
 
-def _best_split(
-    states: Float[np.ndarray, "n F"], votes: Float[np.ndarray, "n A"], least: int
-) -> tuple[int, float] | None:
-    """The purest split over features and thresholds; None if every split has a side with too few rows."""
-    if len(states) < 2 * least:
-        return None
-    order = np.argsort(states, axis=0)
-    left = votes[order].cumsum(axis=0)
-    total, left = left[-1], left[least - 1 : len(states) - least]
-    right = total - left
-    scores = (left**2).sum(axis=2) / left.sum(axis=2) + (right**2).sum(axis=2) / right.sum(axis=2)
-    score, feature, threshold = best_threshold(np.take_along_axis(states, order, axis=0), scores, least)
-    return None if score == -np.inf else (feature, threshold)
+def products(states: Float[np.ndarray, "rows F"]) -> Float[np.ndarray, "rows G"]:
+    """Scaled covariates and, unless these outnumber the rows, their products."""
+    from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
-
-def best_threshold(
-    ordered: Float[np.ndarray, "n F"], scores: Float[np.ndarray, "m F"], least: int
-) -> tuple[float, int, float]:
-    """Largest score of splits with enough rows on both sides, its feature and its threshold; −∞ if there is none."""
-    num = len(ordered)
-    below, above = ordered[least - 1 : num - least], ordered[least : num - least + 1]
-    scores = np.where(below < above, scores, -np.inf)
-    place, feature = np.unravel_index(np.argmax(scores), scores.shape)
-    middle = float(below[place, feature] + above[place, feature]) / 2.0
-    return float(scores[place, feature]), int(feature), middle
-
-
-def logit_shares(
-    states: Float[np.ndarray, "rows F"], votes: Float[np.ndarray, "fitted A"], fitted: Int[np.ndarray, " fitted"]
-) -> Float[np.ndarray, "rows A"]:
-    """Multinomial logit on features and, unless these outnumber the training rows, their products.
-
-    Fitted by accelerated steps with a bound of the curvature [BohningLindsay1988]_. Parameters as in `forest_shares`.
-    For a rule without noise the slope of the border diverges, but its position converges long before the steps end.
-    """
-    spread = states[fitted].std(axis=0)
-    scaled = (states - states[fitted].mean(axis=0)) / np.where(spread > 0.0, spread, 1.0)
-    upper = np.triu_indices(states.shape[1])
-    is_wide = 1 + states.shape[1] + len(upper[0]) > len(fitted)
-    products = scaled[:, :0] if is_wide else scaled[:, upper[0]] * scaled[:, upper[1]]
-    design = np.column_stack([np.ones(len(states)), scaled, products])
-    own, weight = design[fitted], votes.sum(axis=1)
-    penalty = np.full(design.shape[1], RIDGE)
-    penalty[0] = 1e-8
-    bound = 0.5 * (own.T * weight) @ own + np.diag(penalty)
-    inverse = np.linalg.inv(bound)
-    beta = ahead = np.zeros((design.shape[1], votes.shape[1]))
-    pace = 1.0
-    for _ in range(MOST_STEPS):
-        slope = own.T @ (votes - weight[:, None] * softmax(own @ ahead)) - penalty[:, None] * ahead
-        step = ahead + inverse @ slope - beta
-        beta = beta + step
-        if np.abs(step).max() <= TOLERANCE * np.abs(beta).max():
-            break
-        # Restart the momentum when it points downhill.
-        last, pace = (pace, 0.5 + np.sqrt(0.25 + pace**2)) if (slope * step).sum() > 0.0 else (1.0, 1.0)
-        ahead = beta + (last - 1.0) / pace * step
-    return softmax(design @ beta)
+    num_rows, num_covariates = states.shape
+    degree = 1 if comb(num_covariates + 2, 2) > num_rows else 2
+    return PolynomialFeatures(degree, include_bias=False).fit_transform(StandardScaler().fit_transform(states))
 
 
 NAME = "the logging policy without its exploration"
@@ -244,23 +161,23 @@ def _choices(logs: Logs, trajectories: TrajectoryArrays, task: Task) -> list[Cho
     was_taken[stage[trajectories.has_action[begun]], taken[trajectories.has_action[begun]]] = True
     possible = was_taken[stage]
     return [
-        lambda weight, each=each: _likeliest(each, states, taken, weight, possible)
-        for each in (forest_shares, logit_shares)
+        lambda weight, model=model, design=design: _likeliest(model, design, taken, weight, possible)
+        for model, design in ((forest, ranks(states)), (logit, products(states)))
     ]
 
 
 def _likeliest(
-    shares_of: Shares,
-    states: Float[np.ndarray, "rows F"],
+    model_for: Callable[[int], Any],
+    design: Float[np.ndarray, "rows G"] | Int[np.ndarray, "rows G"],
     taken: Int[np.ndarray, " rows"],
     weight: Float[np.ndarray, " rows"],
     possible: Bool[np.ndarray, "rows A"],
 ) -> Int[np.ndarray, " rows"]:
     """Fit a model of the actions and return the most probable of the possible actions."""
-    fitted = np.flatnonzero(weight > 0)
-    kinds, kind = np.unique(taken[fitted], return_inverse=True)
-    votes = weight[fitted, None] * (kind[:, None] == np.arange(len(kinds)))
-    chances = np.zeros(possible.shape)
-    if len(fitted):  # else all rows with weight are held out, and every action is an equally good guess
-        chances[:, kinds] = shares_of(states, votes, fitted)
+    fitted, chances = weight > 0, np.zeros(possible.shape)
+    kinds = np.unique(taken[fitted])
+    chances[:, kinds] = 1.0
+    if len(kinds) > 1:
+        model = model_for(int(fitted.sum())).fit(design[fitted], taken[fitted], sample_weight=weight[fitted])
+        chances[:, kinds] = model.predict_proba(design)
     return np.where(possible, chances, -1.0).argmax(axis=1)
