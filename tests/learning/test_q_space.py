@@ -1,6 +1,9 @@
 """Kernel ridge beside scikit-learn, what is too large, and a smooth Q that promises too much."""
 
+from functools import partial
+
 import numpy as np
+import pandas as pd
 import pytest
 from sklearn.kernel_ridge import KernelRidge
 from trials import log_of
@@ -141,20 +144,60 @@ def learner(**changed):
 
 
 @pytest.mark.parametrize(
-    ("changed", "linear_hopes", "space"),
-    [({}, False, LinearQ), ({}, True, KernelQ), ({"q_function": "smooth"}, False, KernelQ)],
+    ("changed", "linear_hopes", "lead", "why"),
+    [
+        ({}, False, -1.0, "promises 9 a trajectory"),
+        ({}, True, -1.0, None),
+        ({}, True, 0.25, "held out, its policy earns 0.25 more a trajectory"),
+        ({"q_function": "smooth"}, False, 1.0, None),
+    ],
 )
-def test_q_is_linear_where_nobody_asked_for_another_and_that_promises_less(monkeypatch, changed, linear_hopes, space):
+def test_of_many_stages_a_default_smooth_q_proves_itself_beside_a_linear_one(
+    monkeypatch, changed, linear_hopes, lead, why
+):
     def hope(policy, logs):
         assert isinstance(logs, Logs)
         return "9 a trajectory" if linear_hopes or policy.kernel_map is not None else ""
 
     monkeypatch.setattr(promise, "too_hopeful", hope)
+    monkeypatch.setattr(promise, "held_out_lead", lambda model, other, logs: lead)
+    monkeypatch.setattr(promise, "FEWEST_TRAJECTORIES", 10)
     assert isinstance(learner(**changed).fit(LOG).model_.space, KernelQ), "of two stages it is believed"
     monkeypatch.setattr(promise, "MANY_STAGES", 2)
     found = learner(**changed).fit(LOG)
-    assert isinstance(found.model_.space, space)
-    assert any("promises 9 a trajectory" in each for each in found.chosen_) == (space is LinearQ)
-    if space is LinearQ:
+    assert isinstance(found.model_.space, KernelQ if why is None else LinearQ)
+    assert why is None or any(why in each for each in found.chosen_)
+    if why is not None:
         plain = learner(q_function="linear").fit(LOG)
         np.testing.assert_array_equal(found.policy_.coefficients, plain.policy_.coefficients)
+
+
+def test_the_held_out_lead_is_that_of_least_squares_stage_by_stage():
+    """Oracle: backwards, V of the given policy by least squares for each stage and action, on the other half."""
+    plain = flat_log(num_trajectories=400, cut_after_s=1e9)
+    noisy = plain.stages.assign(reward=np.random.default_rng(1).normal(size=len(plain.stages)))
+    log = Logs(noisy, plain.trajectories)
+    settings = {"reg": 0.0, "censoring": "none", "pessimism": 0.0, "q_function": "linear"}
+    separate, pooled = (partial(learner, **settings, stages=stages) for stages in ("separate", "pooled"))
+    found = promise.held_out_lead(pooled().fit(log).model_, separate().fit(log).model_, log)
+    fold = np.random.default_rng([0, 6]).permutation(400) % 2
+    half = [log.select(log.trajectory_ids[fold == k]) for k in range(2)]
+
+    def value(policy, of):
+        stages = of.stages.set_index("trajectory")
+        later = 0.0
+        for stage, names in ((2, ["A", "C"]), (1, ["A", "B"])):
+            rows = stages[stages["stage"] == stage]
+            design = np.column_stack([np.ones(len(rows)), rows[["x1", "x2"]]])
+            target = rows["reward"] + (0.0 if stage == 2 else later.reindex(rows.index).fillna(0.0))
+            takes, q = policy.decide(rows, stage), np.zeros(len(rows))
+            for name in names:
+                is_it = (rows["action"] == name).to_numpy()
+                beta = np.linalg.lstsq(design[is_it], target[is_it], rcond=None)[0]
+                q = np.where(takes == name, design @ beta, q)
+            later = pd.Series(q, index=rows.index)
+        return later.mean()
+
+    each = [[value(made().fit(half[1 - k]).policy_, half[k]) for k in range(2)] for made in (pooled, separate)]
+    assert found == pytest.approx(np.mean(each[0]) - np.mean(each[1]), abs=1e-9)
+    assert abs(found) > 1e-3
