@@ -19,6 +19,7 @@ from halfseen.perception.clouds import Cloud, Picture
 from halfseen.perception.view import View, perceive
 from halfseen.scene.cups import Surface
 from halfseen.scene.moving import Facets, Sight, mesh_facets, with_facets, with_rays
+from halfseen.scene.poses import rigid
 from halfseen.scene.rays import CUP_GROUP, FURNITURE_GROUP, ROBOT_GROUP
 from halfseen.scene.record import colours
 from halfseen.scene.table import TABLE_TOP_M, Camera
@@ -150,7 +151,6 @@ class PoseErrors:
 
     def draw(self, rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
         """Draw a pose error: a small rigid motion of the world about the middle of the table."""
-        error, pivot_m = np.eye(4), np.array([0.0, 0.0, TABLE_TOP_M])
-        error[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, self.angle_rad, 3)).as_matrix()
-        error[:3, 3] = pivot_m - error[:3, :3] @ pivot_m + rng.normal(0.0, self.position_m, 3)
-        return error
+        pivot_m, turn = np.array([0.0, 0.0, TABLE_TOP_M]), Rotation.from_rotvec(rng.normal(0.0, self.angle_rad, 3))
+        rotation = turn.as_matrix()
+        return rigid(rotation, pivot_m - rotation @ pivot_m + rng.normal(0.0, self.position_m, 3))

@@ -20,7 +20,7 @@ import numpy as np
 
 from halfseen.cell.model import MountedArm
 from halfseen.errors import PlanError
-from halfseen.scene.poses import Pose
+from halfseen.scene.poses import Pose, pose_of
 from halfseen.shapes import Bool, Float
 
 Angles = Float[np.ndarray, " J"]
@@ -29,6 +29,11 @@ NEAR_M, NEAR_RAD = 5e-4, 2e-3  # tolerance of a pose
 _LEVER_M = 0.3  # weight of a rotation error relative to a position error
 _DAMPING = 0.03
 _LARGEST_STEP_RAD = 0.4
+
+
+def in_metres(point_m: Iterable[float]) -> str:
+    """Write a point to the millimetre [m]."""
+    return f"({', '.join(f'{value:.3f}' for value in point_m)}) m"
 
 
 class Kinematics:
@@ -71,9 +76,7 @@ class Kinematics:
         self._place(angles_rad)
         site, quaternion = self._data.site(self._tcp), np.zeros(4)
         mujoco.mju_mat2Quat(quaternion, site.xmat)
-        x_m, y_m, z_m = map(float, site.xpos)
-        w, x, y, z = map(float, quaternion)
-        return Pose((x_m, y_m, z_m), (w, x, y, z))
+        return pose_of(site.xpos, quaternion)
 
     def solve(self, target: Pose, begin_rad: Angles, num_steps: int = 60) -> Angles | None:
         """Solve for joint angles that bring the hand to a pose.
@@ -124,11 +127,8 @@ class Kinematics:
             mujoco.mj_collision(self._model, self._data)
             bodies = self._model.geom_bodyid[self._data.contact.geom]
             if np.any((bodies == 0).any(axis=1) & np.isin(bodies, self._bodies).any(axis=1)):
-                x_m, y_m, z_m = self._data.site(self._tcp).xpos
-                raise PlanError(
-                    f"the arm would touch furniture with its hand at ({x_m:.3f}, {y_m:.3f}, {z_m:.3f}) m; "
-                    "approach from another side"
-                )
+                place = in_metres(self._data.site(self._tcp).xpos)
+                raise PlanError(f"the arm would touch furniture with its hand at {place}; approach from another side")
 
     def nearest_turn(self, angles_rad: Angles, near_rad: Angles) -> Angles:
         """Shift endless joints by whole turns to within half a turn of `near_rad`."""
@@ -201,13 +201,13 @@ def line(kinematics: Kinematics, begin_rad: Angles, begin: Pose, end_m: Float[np
     num_steps = max(1, int(np.ceil(np.linalg.norm(end_m - here_m) / STEP_M)))
     way, angles = [], begin_rad
     for step in range(1, num_steps + 1):
-        x_m, y_m, z_m = (float(value) for value in here_m + (end_m - here_m) * step / num_steps)
-        found = kinematics.solve(Pose((x_m, y_m, z_m), begin.quaternion), angles, num_steps=40)
+        next_m = here_m + (end_m - here_m) * step / num_steps
+        found = kinematics.solve(pose_of(next_m, begin.quaternion), angles, num_steps=40)
         if found is None or np.abs(found - angles).max() > _LARGEST_TURN_RAD:
             trouble = "is out of reach" if found is None else "would need the arm to flip over"
             raise PlanError(
-                f"the line to ({end_m[0]:.3f}, {end_m[1]:.3f}, {end_m[2]:.3f}) m breaks off at ({x_m:.3f}, "
-                f"{y_m:.3f}, {z_m:.3f}) m, which {trouble}; approach from another side"
+                f"the line to {in_metres(end_m)} breaks off at {in_metres(next_m)}, which {trouble}; approach from "
+                "another side"
             )
         way.append(found)
         angles = found

@@ -17,7 +17,7 @@ import numpy as np
 
 from halfseen.cell.kinematics import Angles, Kinematics, Way, schedule
 from halfseen.cell.model import MountedArm
-from halfseen.scene.poses import Pose
+from halfseen.scene.poses import Pose, pose_of
 from halfseen.scene.view import cup_name
 from halfseen.shapes import Float
 
@@ -124,9 +124,7 @@ class LiveCell:
     def cup(self, index: int) -> Pose:
         """Pose of a cup in the world."""
         body = self.data.body(cup_name(index))
-        x_m, y_m, z_m = map(float, body.xpos)
-        w, x, y, z = map(float, body.xquat / np.linalg.norm(body.xquat))
-        return Pose((x_m, y_m, z_m), (w, x, y, z))
+        return pose_of(body.xpos, body.xquat / np.linalg.norm(body.xquat))
 
     def wait(self, seconds: float) -> None:
         """Advance the physics."""

@@ -7,13 +7,14 @@ In the clutter some cups stand behind others as seen by the camera; none is insi
 # pyright: reportAttributeAccessIssue=false
 
 from collections.abc import Sequence
+from itertools import combinations, product
 
 import mujoco
 import numpy as np
 
 from halfseen.errors import SceneError
 from halfseen.scene.cups import Cup, outline
-from halfseen.scene.poses import Pose, about_axis, compose
+from halfseen.scene.poses import Pose, about_axis, compose, pose_of
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table, Truth, look_at, truth_of
 from halfseen.scene.view import TIMESTEP_S, cup_name, is_whole_in_picture, lone_depths_m, room_model, table_view
 from halfseen.scene.xtion import XTION, loss_probability, xtion_at
@@ -86,9 +87,7 @@ def _just_above_table(cup: Cup, place_m: tuple[float, float], quaternion: tuple[
     turned = Pose((0.0, 0.0, 0.0), quaternion)
     lowest_m = float(turned.apply(outline(cup))[:, 2].min())
     middle_m = turned.apply(np.array([[0.0, 0.0, cup.height_m / 2]]))[0]
-    return Pose(
-        (place_m[0] - float(middle_m[0]), place_m[1] - float(middle_m[1]), TABLE_TOP_M + _DROP_M - lowest_m), quaternion
-    )
+    return pose_of([*(place_m - middle_m[:2]), TABLE_TOP_M + _DROP_M - lowest_m], quaternion)
 
 
 def _footprint(cup: Cup, pose: Pose) -> list[Disc]:
@@ -122,7 +121,7 @@ def settle(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> tuple[Pose, .
         num_quiet = num_quiet + 1 if np.max(np.abs(data.qvel)) < REST_SPEED else 0
         if num_quiet * TIMESTEP_S >= _QUIET_S:
             bodies = [data.body(cup_name(index)) for index in range(len(cups))]
-            return tuple(Pose(tuple(body.xpos.tolist()), tuple(body.xquat.tolist())).rounded() for body in bodies)
+            return tuple(pose_of(body.xpos, body.xquat).rounded() for body in bodies)
     return None
 
 
@@ -137,13 +136,9 @@ def smallest_gap_m(cups: Sequence[Cup], world_from_cup: Sequence[Pose], beyond_m
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     geoms = [np.flatnonzero(model.geom_bodyid == model.body(cup_name(index)).id) for index in range(len(cups))]
-    gap_m = beyond_m
-    for i in range(len(cups)):
-        for j in range(i):
-            for one in geoms[i]:
-                for other in geoms[j]:
-                    gap_m = min(gap_m, mujoco.mj_geomDistance(model, data, int(one), int(other), beyond_m, None))
-    return float(gap_m)
+    pairs = (pair for of_cups in combinations(geoms, 2) for pair in product(*of_cups))
+    gaps_m = (mujoco.mj_geomDistance(model, data, int(one), int(other), beyond_m, None) for one, other in pairs)
+    return float(min(gaps_m, default=beyond_m))
 
 
 NUM_CUPS = (5, 10)

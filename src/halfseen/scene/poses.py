@@ -1,5 +1,6 @@
 """Rigid poses: position and orientation."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,9 +56,7 @@ class Pose:
     @property
     def matrix(self) -> Float[np.ndarray, "4 4"]:
         """Matrix of the transform for homogeneous points."""
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.position_m
-        return matrix
+        return rigid(self.rotation, self.position_m)
 
     def apply(self, points_m: Points) -> Points:
         """Transform points out of the frame: rotate, then shift [m]."""
@@ -69,16 +68,28 @@ class Pose:
 
     def rounded(self) -> "Pose":
         """Round the position to a micrometre and the quaternion to 1e-7, so that a file stores the pose exactly."""
-        x_m, y_m, z_m = (round(float(value), 6) for value in self.position_m)
-        w, x, y, z = (round(float(value), 7) for value in self.quaternion)
-        return Pose((x_m, y_m, z_m), (w, x, y, z))
+        return pose_of((round(float(x), 6) for x in self.position_m), (round(float(x), 7) for x in self.quaternion))
+
+
+def pose_of(position_m: Iterable[float], quaternion: Iterable[float]) -> Pose:
+    """Make a pose of any three numbers [m] and any four (w, x, y, z), such as rows of arrays."""
+    x_m, y_m, z_m = map(float, position_m)
+    w, x, y, z = map(float, quaternion)
+    return Pose((x_m, y_m, z_m), (w, x, y, z))
+
+
+def rigid(
+    rotation: Float[np.ndarray, "3 3"], position_m: Sequence[float] | Float[np.ndarray, " 3"]
+) -> Float[np.ndarray, "4 4"]:
+    """Make the matrix of a rigid transform of homogeneous points: rotate, then shift [m]."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, position_m
+    return matrix
 
 
 def from_matrix(matrix: Float[np.ndarray, "4 4"]) -> Pose:
     """Make the pose of a rigid transform of homogeneous points [m]."""
-    w, x, y, z = Rotation.from_matrix(matrix[:3, :3]).as_quat(canonical=True, scalar_first=True).tolist()
-    x_m, y_m, z_m = matrix[:3, 3].tolist()
-    return Pose((x_m, y_m, z_m), (w, x, y, z))
+    return pose_of(matrix[:3, 3], Rotation.from_matrix(matrix[:3, :3]).as_quat(canonical=True, scalar_first=True))
 
 
 def about_axis(axis: tuple[float, float, float], angle_rad: float) -> tuple[float, float, float, float]:
