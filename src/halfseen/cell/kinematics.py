@@ -48,6 +48,8 @@ class Kinematics:
 
     Attributes
     ----------
+    data, tcp
+        State of the cell in which the robot was last placed, and the point between its pads there.
     limits_rad
         Lower and upper limit of each joint [rad]; infinite for an endless joint.
     search_rad
@@ -55,8 +57,8 @@ class Kinematics:
     """
 
     def __init__(self, model: mujoco.MjModel, robot: MountedArm) -> None:
-        self._model, self._data = model, mujoco.MjData(model)
-        self._tcp = model.site(robot.of("gripper/tcp")).id
+        self._model, self.data = model, mujoco.MjData(model)
+        self.tcp = self.data.site(robot.of("gripper/tcp"))
         joints = [model.joint(name) for name in robot.joint_names]
         self._places = np.array([joint.qposadr[0] for joint in joints])
         self._columns = np.array([joint.dofadr[0] for joint in joints])
@@ -64,7 +66,7 @@ class Kinematics:
         self.limits_rad: Float[np.ndarray, "J 2"] = np.array(limits, dtype=np.float64)
         self.search_rad: Float[np.ndarray, "J 2"] = robot.arm.search_rad
         self._jacobian = np.zeros((2, 3, model.nv))
-        self._bodies = [body for body in range(model.nbody) if model.body(body).name.startswith(robot.of(""))]
+        self._bodies = robot.bodies(model)
 
     @property
     def is_endless(self) -> np.ndarray:
@@ -73,10 +75,10 @@ class Kinematics:
 
     def hand(self, angles_rad: Angles) -> Pose:
         """Pose of the point between the pads in the world."""
-        self._place(angles_rad)
-        site, quaternion = self._data.site(self._tcp), np.zeros(4)
-        mujoco.mju_mat2Quat(quaternion, site.xmat)
-        return pose_of(site.xpos, quaternion)
+        self.place(angles_rad)
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, self.tcp.xmat)
+        return pose_of(self.tcp.xpos, quaternion)
 
     def solve(self, target: Pose, begin_rad: Angles, num_steps: int = 60) -> Angles | None:
         """Solve for joint angles that bring the hand to a pose.
@@ -123,11 +125,11 @@ class Kinematics:
             The robot would touch furniture; the message states the position of its hand.
         """
         for angles in way:
-            self._place(angles)
-            mujoco.mj_collision(self._model, self._data)
-            bodies = self._model.geom_bodyid[self._data.contact.geom]
+            self.place(angles)
+            mujoco.mj_collision(self._model, self.data)
+            bodies = self._model.geom_bodyid[self.data.contact.geom]
             if np.any((bodies == 0).any(axis=1) & np.isin(bodies, self._bodies).any(axis=1)):
-                place = in_metres(self._data.site(self._tcp).xpos)
+                place = in_metres(self.tcp.xpos)
                 raise PlanError(f"the arm would touch furniture with its hand at {place}; approach from another side")
 
     def nearest_turn(self, angles_rad: Angles, near_rad: Angles) -> Angles:
@@ -135,24 +137,24 @@ class Kinematics:
         apart = (angles_rad - near_rad + pi) % (2 * pi) - pi
         return np.where(self.is_endless, near_rad + apart, angles_rad)
 
-    def _place(self, angles_rad: Angles) -> None:
-        self._data.qpos[self._places] = angles_rad
-        mujoco.mj_kinematics(self._model, self._data)
+    def place(self, angles_rad: Angles) -> None:
+        """Put the robot's joints at angles [rad]."""
+        self.data.qpos[self._places] = angles_rad
+        mujoco.mj_kinematics(self._model, self.data)
 
     def _error(self, target: Pose, angles_rad: Angles) -> tuple[np.ndarray, np.ndarray]:
         """Error from the hand to the target: position [m] and rotation vector [rad]."""
-        self._place(angles_rad)
-        site = self._data.site(self._tcp)
+        self.place(angles_rad)
         now, apart, turn = np.zeros(4), np.zeros(4), np.zeros(3)
-        mujoco.mju_mat2Quat(now, site.xmat)
+        mujoco.mju_mat2Quat(now, self.tcp.xmat)
         mujoco.mju_negQuat(now, now)
         mujoco.mju_mulQuat(apart, np.asarray(target.quaternion, dtype=np.float64), now)
         mujoco.mju_quat2Vel(turn, apart, 1.0)
-        return np.asarray(target.position_m) - site.xpos, turn
+        return np.asarray(target.position_m) - self.tcp.xpos, turn
 
     def _step(self, angles_rad: Angles, apart_m: np.ndarray, apart_rad: np.ndarray) -> Angles:
-        mujoco.mj_comPos(self._model, self._data)
-        mujoco.mj_jacSite(self._model, self._data, *self._jacobian, self._tcp)
+        mujoco.mj_comPos(self._model, self.data)
+        mujoco.mj_jacSite(self._model, self.data, *self._jacobian, self.tcp.id)
         moves, turns = self._jacobian[:, :, self._columns]
         jacobian, error = np.concatenate([moves, _LEVER_M * turns]), np.concatenate([apart_m, _LEVER_M * apart_rad])
         step = _damped(jacobian, error)

@@ -66,6 +66,10 @@ class MountedArm:
         """Name of a part in the model."""
         return f"{self.name}/{part}"
 
+    def bodies(self, model: mujoco.MjModel) -> list[int]:
+        """Numbers of its bodies in the model of a cell."""
+        return [body for body in range(model.nbody) if model.body(body).name.startswith(self.of(""))]
+
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the arm's joints and of their servos, from the base on."""

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from itertools import product
 from math import cos, pi, sin
 
-import mujoco
 import numpy as np
 
 from halfseen.cell.arm import SerialArm
@@ -173,10 +172,6 @@ def _first(
     return min(reached, key=lambda pair: float(np.abs(pair[1] - begin_rad).max()))
 
 
-# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
-# pyright: reportAttributeAccessIssue=false
-
-
 HOME_M = (-0.40, 0.58, 0.98)  # where the hand waits, pointing down
 STANDS_M = ((0.0, 0.42, 0.56), (0.0, 0.50, 0.72), (0.0, 0.60, 0.72))
 """Base positions behind the table, in the order in which they are tried."""
@@ -235,8 +230,7 @@ def home_rad(robot: MountedArm) -> tuple[Angles | None, int]:
     tuple
         Joint angles [rad], None if the home pose is out of reach; and how many of `PLACES_M` they reach.
     """
-    model = cell_model([], [], (robot,))
-    kinematics, shown = Kinematics(model, robot), mujoco.MjData(model)
+    kinematics = Kinematics(cell_model([], [], (robot,)), robot)
     begins = np.random.default_rng(0).uniform(*kinematics.search_rad.T, size=(_NUM_BEGUN, robot.arm.num_joints))
     found = []
     for number, begin in enumerate(begins):
@@ -244,7 +238,7 @@ def home_rad(robot: MountedArm) -> tuple[Angles | None, int]:
         if angles is not None:
             found.append(kinematics.nearest_turn(angles, np.zeros(len(angles))))
     free = [angles for angles in found if _is_free(kinematics, angles[None])]
-    ranked = sorted(free, key=lambda angles: (_is_cornered(kinematics, angles), -_height_m(shown, robot, angles)))
+    ranked = sorted(free, key=lambda angles: (_is_cornered(kinematics, angles), -_height_m(kinematics, robot, angles)))
     counted = [(angles, sum(_comes(kinematics, angles, place) for place in PLACES_M)) for angles in ranked[:_NUM_KEPT]]
     return max(counted, key=lambda pair: pair[1], default=(None, 0))
 
@@ -280,12 +274,10 @@ def _is_cornered(kinematics: Kinematics, angles: Angles) -> bool:
     return bool((np.abs(angles[:, None] - kinematics.limits_rad) < _CORNER_RAD).any())
 
 
-def _height_m(shown: mujoco.MjData, robot: MountedArm, angles: Angles) -> float:
+def _height_m(kinematics: Kinematics, robot: MountedArm, angles: Angles) -> float:
     """Mean height of the arm's joints above the floor [m]."""
-    for name, angle in zip(robot.joint_names, angles, strict=True):
-        shown.joint(name).qpos = angle
-    mujoco.mj_kinematics(shown.model, shown)
-    return float(np.mean([shown.joint(name).xanchor[2] for name in robot.joint_names]))
+    kinematics.place(angles)
+    return float(np.mean([kinematics.data.joint(name).xanchor[2] for name in robot.joint_names]))
 
 
 def _too_far(robot: MountedArm) -> str:

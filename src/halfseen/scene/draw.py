@@ -210,7 +210,7 @@ def _draw_camera_pose(rng: np.random.Generator) -> Pose:
 
 def _is_kept(table: Table) -> bool:
     """Whether a proposal is accepted; the cheap checks come first."""
-    if not (_is_on_table(table.cups, table.world_from_cup) and is_whole_in_picture(table)):
+    if not (_is_on_table(table) and is_whole_in_picture(table)):
         return False
     if smallest_gap_m(table.cups, table.world_from_cup) < GAP_M:
         return False
@@ -218,18 +218,14 @@ def _is_kept(table: Table) -> bool:
     return bool(np.all(truth.occlusion <= MAX_OCCLUSION) and np.all(sure_returns_px(table, truth) >= MIN_RETURNS_PX))
 
 
-def _is_on_table(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> bool:
+def _is_on_table(table: Table) -> bool:
     """Whether every cup stands or lies on the table top: not beside it, not on another cup, not leaning."""
-    for cup, pose in zip(cups, world_from_cup, strict=True):
-        x_m, y_m, z_m = pose.apply(np.array([[0.0, 0.0, cup.height_m / 2]]))[0]
-        if abs(x_m) > TABLE_SIZE_M[0] / 2 - _EDGE_M or abs(y_m) > TABLE_SIZE_M[1] / 2 - _EDGE_M:
-            return False
-        upward = pose.rotation[2, 2]
-        is_standing = upward > 0.995 and abs(z_m - TABLE_TOP_M - cup.height_m / 2) < 0.003
-        is_lying = abs(upward) < 0.5 and z_m - TABLE_TOP_M < 1.1 * cup.rim_radius_m + cup.handle_m
-        if not (is_standing or is_lying):
-            return False
-    return True
+    half_m, middle_m = np.array(TABLE_SIZE_M) / 2, table.centroid_m
+    upward = np.array([pose.rotation[2, 2] for pose in table.world_from_cup])
+    reach_m, above_m = [1.1 * cup.rim_radius_m + cup.handle_m for cup in table.cups], middle_m[:, 2] - TABLE_TOP_M
+    is_standing = (upward > 0.995) & (np.abs(above_m - table.height_m / 2) < 0.003)
+    is_lying = (np.abs(upward) < 0.5) & (above_m < reach_m)
+    return bool((np.abs(middle_m[:, :2]) <= half_m - _EDGE_M).all() and (is_standing | is_lying).all())
 
 
 def sure_returns_px(table: Table, truth: Truth) -> np.ndarray:
