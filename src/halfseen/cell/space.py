@@ -113,7 +113,7 @@ def _places(begin_rad: Angles, way: Way) -> Float[np.ndarray, "places J"]:
 
 def _spheres_m(model: mujoco.MjModel, geom: int) -> Points:
     """Centres of the spheres that cover a part, in its own frame [m]."""
-    kind, size, half_m = model.geom_type[geom], model.geom_size[geom], model.geom_aabb[geom, 3:]
+    kind, size, half_m = _KINDS(int(model.geom_type[geom])), model.geom_size[geom], model.geom_aabb[geom, 3:]
     if kind in (_KINDS.mjGEOM_CAPSULE, _KINDS.mjGEOM_CYLINDER):
         half_m = [0.0, 0.0, size[1]]
     elif kind == _KINDS.mjGEOM_SPHERE:
