@@ -32,6 +32,7 @@ from halfseen.world.state import (
     TableState,
     initial_state,
     nothing_pending,
+    numbered,
     occlusion,
 )
 
@@ -205,11 +206,6 @@ def _added(total: Outcome, later: Outcome) -> Outcome:
     return Outcome(reward, duration_s, total.is_over, alone + later.paid_alone, out_s)
 
 
-def _is_one(robots: Robots, robot: Which) -> Bool[Array, "*B K"]:
-    """One-hot mask of a robot's number."""
-    return library_of(robot).arange(robots.num_robots) == robot[..., None]
-
-
 def _begun(
     config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key, is_possible: Flags | None
 ) -> tuple[TableState, HiddenState]:
@@ -225,7 +221,7 @@ def _begun(
         at_there = occlusion(there)
     tried = attempted(config.as_robot(robot), there, hidden, _to_the_table(verb), target, key, at_there)
     duration_s = (config.transport_s + tried.duration_s) / xp.asarray(config.speed, dtype=np.float32)[robot]
-    is_mine = _is_one(robots, robot)
+    is_mine = numbered(robot, config.num_robots)
 
     def mine(values: Any, others: Any) -> Any:
         return chosen(is_mine, xp.expand_dims(values, robot.ndim), others)
@@ -273,12 +269,13 @@ def _next_event(
         passed_s, paid = xp.where(is_first, leaves_s, passed_s), xp.where(is_first, zero, paid)
         # The table does not change.
         freed, pending = _freed(robots, _pending(hidden), leaver, passed_s)
-        is_out = robots.is_out | _is_one(robots, leaver)
+        is_leaver = numbered(leaver, config.num_robots)
+        is_out = robots.is_out | is_leaver
         at_drop_out = replace(state, robots=replace(freed, is_out=is_out)), replace(hidden, pending=pending)
         after, of_hidden = chosen(is_first, at_drop_out, (after, of_hidden))
         of_hidden = replace(of_hidden, until_out_s=until_out - passed_s[..., None])
-        out_s = xp.where(is_first[..., None] & _is_one(robots, leaver), passed_s[..., None], never)
-    own = xp.where(_is_one(robots, robot), paid[..., None], zero)
+        out_s = xp.where(is_first[..., None] & is_leaver, passed_s[..., None], never)
+    own = xp.where(numbered(robot, config.num_robots), paid[..., None], zero)
     alone = own + _own_price(config, robots.is_done, after, of_hidden, passed_s)
     return after, of_hidden, Outcome(paid, passed_s, xp.asarray(False), alone, out_s)
 
@@ -311,7 +308,7 @@ def _at_end(
     )
     tried = Attempt(is_held, duration_s, xp.where(is_moved, moved, state.hides), None)
     robots, pending = _freed(robots, pending, robot, passed_s)
-    is_parked = xp.where(_is_one(robots, robot), (verb == Verb.FINISH)[..., None], robots.is_parked)
+    is_parked = xp.where(numbered(robot, config.num_robots), (verb == Verb.FINISH)[..., None], robots.is_parked)
     # An object is held for as long as its transport takes.
     transport_s = config.transport_s / xp.asarray(config.speed, dtype=np.float32)
     is_holding = robots.is_busy & pending.is_held & (pending.left_s <= transport_s)
@@ -325,7 +322,7 @@ def _at_end(
 def _freed(robots: Robots, pending: Pending, robot: Which, passed_s: Amounts) -> tuple[Robots, Pending]:
     """Free a robot, and all waiting robots, after `passed_s`."""
     xp, never = library_of(robot), np.float32(np.inf)
-    is_free = _is_one(robots, robot) | (robots.is_busy & (robots.verb == WAIT))
+    is_free = numbered(robot, robots.num_robots) | (robots.is_busy & (robots.verb == WAIT))
     left_s = xp.where(robots.is_busy, pending.left_s, never)
     freed = replace(robots, is_busy=robots.is_busy & ~is_free, since_s=robots.since_s + passed_s[..., None])
     return freed, replace(pending, left_s=xp.where(freed.is_busy, left_s - passed_s[..., None], never))
