@@ -14,7 +14,7 @@ from halfseen.arrays import Image
 from halfseen.scene.poses import Pose
 from halfseen.scene.rays import RowRays, first_met
 from halfseen.scene.table import Camera
-from halfseen.scene.view import LIT_TOLERANCE_M, IdealView, is_reached, pixel_hits
+from halfseen.scene.view import LIT_TOLERANCE_M, IdealView, is_reached, mesh_of, pixel_hits
 from halfseen.shapes import Bool, Float, Int
 
 
@@ -50,9 +50,8 @@ def mesh_facets(model: mujoco.MjModel, groups: Sequence[int]) -> Facets:
 
 
 def _corners_m(model: mujoco.MjModel, mesh: int) -> Float[np.ndarray, "facets 3 3"]:
-    first_vertex, first_face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
-    faces = model.mesh_face[first_face : first_face + model.mesh_facenum[mesh]]
-    return model.mesh_vert[first_vertex + faces].astype(np.float64)
+    vertices, faces = mesh_of(model, mesh)
+    return vertices[faces].astype(np.float64)
 
 
 def normals(corners_m: Float[np.ndarray, "facets 3 3"]) -> Float[np.ndarray, "facets 3"]:

@@ -43,10 +43,15 @@ def room_model(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: 
     return room_spec(cups, world_from_cup, is_free=is_free).compile()
 
 
-def room_spec(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: bool) -> mujoco.MjSpec:
-    """Build the whole room without compiling it, so that it can be extended; parameters are those of `room_model`."""
-    spec = _empty_spec()
-    _add_furniture(spec)
+def room_spec(
+    cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: bool, is_furnished: bool = True
+) -> mujoco.MjSpec:
+    """Build the whole room, or only its cups, without compiling it, so that it can be extended; see `room_model`."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep = TIMESTEP_S
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    if is_furnished:
+        _add_furniture(spec)
     for index, (cup, pose) in enumerate(zip(cups, world_from_cup, strict=True)):
         _add_cup(spec, index, cup, pose, is_free=is_free)
     return spec
@@ -54,16 +59,7 @@ def room_spec(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: b
 
 def lone_cup_model(cup: Cup, world_from_cup: Pose) -> mujoco.MjModel:
     """Compile a world with one fixed cup and nothing else; body 1 is the cup."""
-    spec = _empty_spec()
-    _add_cup(spec, 0, cup, world_from_cup, is_free=False)
-    return spec.compile()
-
-
-def _empty_spec() -> mujoco.MjSpec:
-    spec = mujoco.MjSpec()
-    spec.option.timestep = TIMESTEP_S
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    return spec
+    return room_spec([cup], [world_from_cup], is_free=False, is_furnished=False).compile()
 
 
 def _add_furniture(spec: mujoco.MjSpec) -> None:
@@ -95,11 +91,11 @@ def _add_cup(spec: mujoco.MjSpec, index: int, cup: Cup, pose: Pose, *, is_free: 
     if cup.handle_m > 0:
         meshes["handle"] = handle_mesh(cup)
     for part, (vertices, faces) in meshes.items():
-        name = f"{cup_name(index)}_{part}"
-        _add_mesh(spec, name, vertices, faces)
+        mesh = add_mesh(spec, f"{cup_name(index)}_{part}", vertices, faces)
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT
         body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=name,
+            meshname=mesh.name,
             density=_DENSITY,
             friction=list(_FRICTION),
             solref=list(_STIFF_CONTACT),
@@ -108,9 +104,15 @@ def _add_cup(spec: mujoco.MjSpec, index: int, cup: Cup, pose: Pose, *, is_free: 
         )
 
 
-def _add_mesh(spec: mujoco.MjSpec, name: str, vertices: Vertices, faces: Faces) -> None:
-    mesh = spec.add_mesh(name=name, uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist())
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT
+def add_mesh(spec: mujoco.MjSpec, name: str, vertices: Vertices, faces: Faces) -> mujoco.MjsMesh:
+    """Add a mesh with vertices [m] and triangles to a model."""
+    return spec.add_mesh(name=name, uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist())
+
+
+def mesh_of(model: mujoco.MjModel, mesh: int) -> tuple[Vertices, Faces]:
+    """Vertices [m] and triangles of a mesh of a compiled model, along its principal axes."""
+    vertices = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
+    return vertices, model.mesh_face[model.mesh_faceadr[mesh] :][: model.mesh_facenum[mesh]]
 
 
 LIT_TOLERANCE_M = 0.002
