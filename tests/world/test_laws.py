@@ -206,16 +206,12 @@ def test_labels_are_those_of_a_hidden_trait_that_stays(looks):
         assert log_odds == pytest.approx(np.log(if_dirty[labels]) - np.log(if_clean[labels]), abs=1e-9)
 
 
-AT = np.linspace(1.0, 0.0, 21)[:, None], np.linspace(0.0, 1.0, 11)
-"""Occlusions, and shares that were seen before."""
-
-
 def test_probabilities_lie_in_range_and_rise_with_the_view():
-    for found in SEEING.positive(*AT):
+    for found in SEEING.positive(OCCLUDED, SEEN):
         assert (found >= 0.0).all()
         assert (found < 1.0).all()
         assert (np.diff(found, axis=0) >= 0.0).all()
-    assert (SEEING.after(*AT, False) >= AT[1]).all()
+    assert (SEEING.after(OCCLUDED, SEEN, False) >= SEEN).all()
 
 
 def test_a_look_that_shows_nothing_new_adds_nothing():
