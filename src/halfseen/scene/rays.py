@@ -43,22 +43,25 @@ class Hits:
     normal: Float[np.ndarray, "rays 3"]
 
 
+def at_rest(model: mujoco.MjModel) -> mujoco.MjData:
+    """Bodies of a model in their initial poses."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return data
+
+
 def cast(
-    model: mujoco.MjModel,
+    data: mujoco.MjData,
     origin_m: Float[np.ndarray, " 3"],
     unit_directions: Directions,
     reach_m: float,
-    data: mujoco.MjData | None = None,
     groups: tuple[int, ...] = SEEN_GROUPS,
 ) -> Hits:
-    """Cast rays from one point into a model, which is not changed.
+    """Cast rays from one point among bodies, which do not change.
 
-    Bodies beyond `reach_m` are ignored [m]. `data` holds the poses of the bodies, None for their initial poses;
-    `groups` are the geoms that rays can hit.
+    Bodies beyond `reach_m` are ignored [m]; `groups` are the geoms that rays can hit.
     """
-    if data is None:
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
+    model = data.model
     num_rays = len(unit_directions)
     geom = np.full(num_rays, -1, dtype=np.int32)
     distance_m = np.full(num_rays, -1.0)
