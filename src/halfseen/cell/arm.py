@@ -14,7 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 import mujoco
 import numpy as np
 
-from halfseen.cell.gripper import ROBOT, require_finite, require_positive
+from halfseen.cell.gripper import ROBOT, add_servo, require_finite, require_positive
 from halfseen.errors import SceneError
 from halfseen.scene.poses import Pose, about_axis, compose
 from halfseen.shapes import Float
@@ -213,10 +213,9 @@ class Arm:
         )
         if joint.limits_rad is not None:
             hinge.limited, hinge.range = True, list(joint.limits_rad)
-        servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         carried_kgm2 = joint.motor.armature_kgm2 + 0.1 * sum(each.mass_kg for each in self.joints[index:])
         stiffness = joint.motor.stiffness_nm
-        servo.set_to_position(kp=stiffness, kv=2.0 * (stiffness * carried_kgm2) ** 0.5)
+        add_servo(spec, name, stiffness, 2.0 * (stiffness * carried_kgm2) ** 0.5)
 
 
 def _next_frame(joint: Joint) -> Pose:

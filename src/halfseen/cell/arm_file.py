@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from halfseen.cell.chain import Chain, find_chain
-from halfseen.cell.gripper import ROBOT
+from halfseen.cell.gripper import ROBOT, add_servo
 from halfseen.errors import SceneError
 from halfseen.scene.poses import Pose, from_matrix
 from halfseen.scene.view import add_mesh, mesh_of
@@ -168,9 +168,8 @@ class ArmFile:
         hinge = body.add_joint(name=name, axis=model.jnt_axis[number], pos=model.jnt_pos[number])
         hinge.armature, hinge.ref = self._armature_kgm2[index], model.qpos0[model.jnt_qposadr[number]]
         hinge.limited, hinge.range = bool(model.jnt_limited[number]), model.jnt_range[number]
-        servo, carried_kgm2 = spec.add_actuator(name=name, target=name), self._carried_kgm2[index]
-        servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        servo.set_to_position(kp=carried_kgm2 * _RATE_PER_S**2, kv=2.0 * carried_kgm2 * _RATE_PER_S)
+        carried_kgm2 = self._carried_kgm2[index]
+        add_servo(spec, name, carried_kgm2 * _RATE_PER_S**2, 2.0 * carried_kgm2 * _RATE_PER_S)
 
     def _add_shapes(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, number: int) -> None:
         model = self._model

@@ -44,6 +44,13 @@ def require_finite(what: str, part: object, names: Iterable[str]) -> None:
             raise SceneError(f"{what}: {name} is {getattr(part, name)}; give a finite number")
 
 
+def add_servo(spec: mujoco.MjSpec, joint: str, stiffness: float, damping: float) -> mujoco.MjsActuator:
+    """Add the position servo of a joint, of the same name [N·m/rad or N/m, and per rate]."""
+    servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    servo.set_to_position(kp=stiffness, kv=damping)
+    return servo
+
+
 FURNITURE, WALLS, OBSTACLES, FIRST_ROBOT = 1, 2, 4, 8
 """Contact bits. The first is for contacts among cups' hulls and furniture; the next two are for robots with cups' walls
 and with furniture. From the last on, each robot has a bit for contacts with other robots."""
@@ -188,8 +195,7 @@ class Gripper:
         pad_at_m, touch = (0, sign * 0.5 * self.pad_thickness_m, self.tcp_m), contacts.of_pad()
         _add_box(finger, f"bar_{side}", bar_m, bar_at_m, mass=0.05, rgba=list(_GREY))
         _add_box(finger, f"pad_{side}", pad_m, pad_at_m, mass=0.02, rgba=list(_BLACK), priority=1, **touch)
-        servo = spec.add_actuator(name=slide, target=slide, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        servo.set_to_position(kp=2500.0, kv=60.0)
+        servo = add_servo(spec, slide, stiffness=2500.0, damping=60.0)
         servo.forcelimited, servo.forcerange = True, [-self.force_n, self.force_n]
 
 

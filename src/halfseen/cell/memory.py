@@ -71,11 +71,19 @@ class Trial(NamedTuple):
     arm: int = 0
 
 
+class Sighting(NamedTuple):
+    """An object as a look showed it, the view from that look, and the transform of its table to the world."""
+
+    seen: SeenObject
+    view: View
+    world_from_table: Float[np.ndarray, "4 4"]
+
+
 @dataclass(eq=False)
 class KnownObject:
     """A known object.
 
-    `middle_m` [m], `facts` and `surface_m`, points in the world [m], are from its last sighting. `seen` is its
+    `middle_m` [m], `facts` and `surface_m`, points in the world [m], are from its last `sighting`. `seen` is its
     appearance in the last view, None if that does not show it. `is_lost` is set if a look found it vanished: it fell,
     or was never a separate object; it can reappear only at the same place. `glances` are labels from looks that showed
     more than any before, and `trials` are attempts, oldest first. `failed` are failed grasps, in table coordinates.
@@ -85,6 +93,7 @@ class KnownObject:
     seen: SeenObject | None
     facts: Facts
     surface_m: Points = field(default_factory=lambda: np.zeros((0, 3)))
+    sighting: Sighting | None = None
     is_racked: bool = False
     is_lost: bool = False
     glances: list[Glance] = field(default_factory=list)
@@ -102,6 +111,7 @@ class KnownObject:
         self.seen = None if now is None else now.seen
         if now is not None:
             self.middle_m, self.facts, self.surface_m = now.middle_m, now.facts, now.surface_m
+            self.sighting = now.sighting
 
     def label(self, occlusion: float, says_dirty: bool, *, is_held: bool) -> None:
         """Keep the label of a look if it showed more than any before; otherwise the label would repeat evidence.
@@ -209,7 +219,9 @@ def _objects_of(
     points_m, turned, moved_m = view.image.points_m.reshape(-1, 3), world_from_camera[:3, :3], world_from_camera[:3, 3]
     middles_m = [(world_from_table @ [*seen.solid.middle_m, 1.0])[:3] for seen in view.objects]
     surfaces_m = [points_m[seen.pixels] @ turned.T + moved_m for seen in view.objects]
-    return [KnownObject(*each) for each in zip(middles_m, view.objects, facts_of(view), surfaces_m, strict=True)]
+    sightings = [Sighting(seen, view, world_from_table) for seen in view.objects]
+    known = zip(middles_m, view.objects, facts_of(view), surfaces_m, sightings, strict=True)
+    return [KnownObject(*each) for each in known]
 
 
 def _middles_m(objects: list[KnownObject]) -> Points:

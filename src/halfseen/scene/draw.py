@@ -15,6 +15,7 @@ import numpy as np
 from halfseen.errors import SceneError
 from halfseen.scene.cups import Cup, outline
 from halfseen.scene.poses import Pose, about_axis, compose, pose_of
+from halfseen.scene.rays import at_rest
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table, Truth, look_at, truth_of
 from halfseen.scene.view import TIMESTEP_S, cup_name, is_whole_in_picture, lone_depths_m, room_model, table_view
 from halfseen.scene.xtion import XTION, loss_probability, xtion_at
@@ -133,8 +134,7 @@ def smallest_gap_m(cups: Sequence[Cup], world_from_cup: Sequence[Pose], beyond_m
     if beyond_m <= 0:
         raise SceneError(f"smallest gap: beyond_m is {beyond_m}; give a positive length")
     model = room_model(cups, world_from_cup, is_free=False)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    data = at_rest(model)
     geoms = [np.flatnonzero(model.geom_bodyid == model.body(cup_name(index)).id) for index in range(len(cups))]
     pairs = (pair for of_cups in combinations(geoms, 2) for pair in product(*of_cups))
     gaps_m = (mujoco.mj_geomDistance(model, data, int(one), int(other), beyond_m, None) for one, other in pairs)
