@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from collections import Counter
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -22,16 +23,7 @@ from halfseen.scene.poses import about_axis, compose
 from halfseen.scene.rays import at_rest, cast
 from halfseen.scene.shipped import KEPT_WITHIN_M, NUM_TABLES, SEEDS, cloud_path, made_with, truth_path, versions
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, look_at, truth_of
-from halfseen.scene.view import (
-    TIMESTEP_S,
-    Sight,
-    cup_name,
-    ideal_view,
-    lone_cup_model,
-    lone_depths_m,
-    room_model,
-    table_view,
-)
+from halfseen.scene.view import TIMESTEP_S, cup_name, lone_cup_model, lone_depths_m, room_model, table_view
 from halfseen.scene.xtion import XTION, xtion_at
 
 PACKAGE = Path(halfseen.scene.__file__).parent
@@ -150,8 +142,9 @@ def test_returns_of_a_cup_lie_on_that_cup(table, picture):
 
 def seen_px(table, which, cup):
     """Pixels that show a cup when only some cups are there, by a full picture of exactly those."""
-    model = room_model([table.cups[k] for k in which], [table.world_from_cup[k] for k in which], is_free=False)
-    return int(np.sum(ideal_view(Sight(at_rest(model), table.camera, XTION.baseline_m)).labels == which.index(cup)))
+    cups, poses = (tuple(each[k] for k in which) for each in (table.cups, table.world_from_cup))
+    view = table_view(replace(table, cups=cups, world_from_cup=poses), XTION.baseline_m)
+    return int(np.sum(view.labels == which.index(cup)))
 
 
 def test_hand_made_depths(table):
