@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
-from halfseen.arrays import Image
+from halfseen.arrays import Image, Transform
 from halfseen.cell.live_cell import LiveCell
 from halfseen.perception.clouds import Cloud, Picture
 from halfseen.perception.view import View, perceive
@@ -25,7 +25,7 @@ from halfseen.scene.record import colours
 from halfseen.scene.table import TABLE_TOP_M, Camera
 from halfseen.scene.view import IdealView, Sight, ideal_view
 from halfseen.scene.xtion import XTION, sense
-from halfseen.shapes import Bool, Float, Int
+from halfseen.shapes import Bool, Int
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class PoseErrors:
     position_m: float = 0.004
     angle_rad: float = float(np.deg2rad(0.5))
 
-    def draw(self, rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
+    def draw(self, rng: np.random.Generator) -> Transform:
         """Draw a pose error: a small rigid motion of the world about the middle of the table."""
         pivot_m, turn = np.array([0.0, 0.0, TABLE_TOP_M]), Rotation.from_rotvec(rng.normal(0.0, self.angle_rad, 3))
         rotation = turn.as_matrix()

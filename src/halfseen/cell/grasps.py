@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from halfseen.arrays import Image, Intrinsics, Points
+from halfseen.arrays import Image, Intrinsics, Points, Transform
 from halfseen.cell.gripper import Gripper
 from halfseen.perception.clouds import Vector
 from halfseen.perception.objects import LOWEST_OBJECT_M, Labels
@@ -211,7 +211,7 @@ class Surroundings:
     labels: Labels
     depth_m: Image
     intrinsics: Intrinsics
-    camera_from_table: Float[np.ndarray, "4 4"]
+    camera_from_table: Transform
 
     def hidden(self, points_m: Points) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
         """Masks of points that are hidden (behind a surface or without return), and hidden by the object itself."""

@@ -9,14 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from halfseen.arrays import Hides, Points
+from halfseen.arrays import Hides, Points, Transform
 from halfseen.cell.facts import Facts, facts_of
 from halfseen.cell.grasps import Grasp
 from halfseen.perception.clouds import Vector
 from halfseen.perception.occlusion import NEAREST_M, projected
 from halfseen.perception.tracking import matched
 from halfseen.perception.view import SeenObject, View
-from halfseen.shapes import Float
 
 SAME_DEPTH_M = 0.015
 """Depths that differ by less count as equal [m]: depths have errors, and cups stand within millimetres."""
@@ -76,7 +75,7 @@ class Sighting(NamedTuple):
 
     seen: SeenObject
     view: View
-    world_from_table: Float[np.ndarray, "4 4"]
+    world_from_table: Transform
 
 
 @dataclass(eq=False)
@@ -142,13 +141,11 @@ class Memory:
 
     def __init__(self) -> None:
         self.objects: list[KnownObject] = []
-        self.world_from_table: Float[np.ndarray, "4 4"] = np.eye(4)
+        self.world_from_table: Transform = np.eye(4)
         self.hides: Hides = np.zeros((0, 0))
         self.doubts: tuple[str, ...] = ()
 
-    def update(
-        self, view: View, world_from_table: Float[np.ndarray, "4 4"], in_hand: Sequence[KnownObject] = ()
-    ) -> None:
+    def update(self, view: View, world_from_table: Transform, in_hand: Sequence[KnownObject] = ()) -> None:
         """Update from a view: match known objects, mark vanished ones as lost, and add new ones.
 
         Parameters
@@ -212,9 +209,7 @@ class Memory:
         return numbers[0] if numbers else None
 
 
-def _objects_of(
-    view: View, world_from_table: Float[np.ndarray, "4 4"], world_from_camera: Float[np.ndarray, "4 4"]
-) -> list[KnownObject]:
+def _objects_of(view: View, world_from_table: Transform, world_from_camera: Transform) -> list[KnownObject]:
     """The objects of a view as new known objects."""
     points_m, turned, moved_m = view.image.points_m.reshape(-1, 3), world_from_camera[:3, :3], world_from_camera[:3, 3]
     middles_m = [(world_from_table @ [*seen.solid.middle_m, 1.0])[:3] for seen in view.objects]

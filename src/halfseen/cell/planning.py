@@ -13,6 +13,7 @@ from math import cos, pi, sin
 
 import numpy as np
 
+from halfseen.arrays import Transform
 from halfseen.cell.arm import SerialArm
 from halfseen.cell.grasps import Grasp
 from halfseen.cell.kinematics import Angles, Kinematics, Way, in_metres, line
@@ -71,7 +72,7 @@ class FetchPlan:
 
 def plans(
     grasps: Iterable[Grasp],
-    world_from_table: Float[np.ndarray, "4 4"],
+    world_from_table: Transform,
     kinematics: Kinematics,
     begin_rad: Angles,
     rng: np.random.Generator,
@@ -124,11 +125,7 @@ def _is_alike(grasp: Grasp, other: Grasp) -> bool:
 
 
 def _planned(
-    grasp: Grasp,
-    world_from_table: Float[np.ndarray, "4 4"],
-    kinematics: Kinematics,
-    begin_rad: Angles,
-    rng: np.random.Generator,
+    grasp: Grasp, world_from_table: Transform, kinematics: Kinematics, begin_rad: Angles, rng: np.random.Generator
 ) -> FetchPlan:
     back_m = grasp.middle_m - APPROACH_M * grasp.approach
     before, angles = _first(_poses(grasp, back_m, world_from_table), kinematics, begin_rad, rng)
@@ -148,7 +145,7 @@ def _above(kinematics: Kinematics, angles: Angles, before: Pose) -> Way:
     return np.empty((0, len(angles)))
 
 
-def _poses(grasp: Grasp, middle_m: Float[np.ndarray, " 3"], world_from_table: Float[np.ndarray, "4 4"]) -> list[Pose]:
+def _poses(grasp: Grasp, middle_m: Float[np.ndarray, " 3"], world_from_table: Transform) -> list[Pose]:
     """Two equivalent hand poses: that of the grasp, and one turned by 180° about the approach."""
     hands = (rigid(grasp.axes * [sign, sign, 1.0], middle_m) for sign in (1.0, -1.0))
     return [from_matrix(world_from_table @ hand) for hand in hands]

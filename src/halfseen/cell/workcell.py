@@ -14,7 +14,7 @@ from itertools import islice
 
 import numpy as np
 
-from halfseen.arrays import Image
+from halfseen.arrays import Image, Transform
 from halfseen.cell import fetching
 from halfseen.cell.camera import CellCamera, PoseErrors, perceived_whole
 from halfseen.cell.fetching import GaveWayError, ObservedAttempt
@@ -31,7 +31,7 @@ from halfseen.perception.view import SeenObject, View
 from halfseen.scene.cups import Surface
 from halfseen.scene.poses import Pose, from_matrix
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table
-from halfseen.shapes import Bool, Float
+from halfseen.shapes import Bool
 
 SETTLE_S = 0.3
 MOST_TAKEN = 4  # plans blocked by another robot that are tried before waiting for the best of them
@@ -129,7 +129,7 @@ class Workcell:
         return self.stations[0].rack
 
     @property
-    def world_from_table(self) -> Float[np.ndarray, "4 4"]:
+    def world_from_table(self) -> Transform:
         """Transform of homogeneous points from the perceived table to the world that the robot assumes [m]."""
         assert self.view is not None, "look first"
         return self._believed.matrix @ self.view.cloud_from_table

@@ -22,7 +22,7 @@ from halfseen.perception.vessel_fits import (
     standing_vessels,
     thinned,
 )
-from halfseen.shapes import Float
+from halfseen.perception.walls import Sets
 
 # A fit with a larger mean cost is not a vessel: residuals of 8 mm everywhere.
 WORST_VESSEL_MISFIT = 3.2
@@ -155,7 +155,7 @@ def _pieces(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[Labels, li
     return sheets, pieces
 
 
-def completed(sets: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Vessel | Hull]:
+def completed(sets: Sets) -> list[Vessel | Hull]:
     """Complete the shape of each object: the vessel that fits best, or the hull if none fits.
 
     Parameters

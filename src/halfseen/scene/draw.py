@@ -14,7 +14,7 @@ import numpy as np
 
 from halfseen.errors import SceneError
 from halfseen.scene.cups import Cup, outline
-from halfseen.scene.poses import Pose, about_axis, compose, pose_of
+from halfseen.scene.poses import Pose, Quaternion, about_axis, compose, pose_of
 from halfseen.scene.rays import at_rest
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table, Truth, look_at, truth_of
 from halfseen.scene.view import TIMESTEP_S, cup_name, is_whole_in_picture, lone_depths_m, room_model, table_view
@@ -64,7 +64,7 @@ def draw_layout(cups: Sequence[Cup], rng: np.random.Generator) -> tuple[Pose, ..
     return tuple(poses)
 
 
-def _draw_turn(rng: np.random.Generator) -> tuple[float, float, float, float]:
+def _draw_turn(rng: np.random.Generator) -> Quaternion:
     """Draw an orientation: standing or lying, with a uniform turn about the vertical and, if lying, about its axis."""
     about_vertical = about_axis((0.0, 0.0, 1.0), rng.uniform(0, 2 * np.pi))
     rolled = about_axis((0.0, 0.0, 1.0), rng.uniform(0, 2 * np.pi))
@@ -83,7 +83,7 @@ def _draw_place(poses: Sequence[Pose], rng: np.random.Generator) -> tuple[float,
     return x_m + rng.normal(0.0, 0.022), y_m + side * rng.uniform(0.075, 0.125)
 
 
-def _just_above_table(cup: Cup, place_m: tuple[float, float], quaternion: tuple[float, float, float, float]) -> Pose:
+def _just_above_table(cup: Cup, place_m: tuple[float, float], quaternion: Quaternion) -> Pose:
     """Pose with its lowest point a few millimetres above the table and its axis centred over a place."""
     turned = Pose((0.0, 0.0, 0.0), quaternion)
     lowest_m = float(turned.apply(outline(cup))[:, 2].min())

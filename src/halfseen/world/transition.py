@@ -12,7 +12,7 @@ change. An action that ends at the very moment of a drop-out ends before it.
 """
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -56,6 +56,11 @@ class Outcome(NamedTuple):
     """Time from the stage's begin to each robot's drop-out, infinite without one; None if no robot can drop out [s]."""
 
 
+Stepped: TypeAlias = tuple[TableState, HiddenState, Outcome]
+Paid: TypeAlias = tuple[TableState, HiddenState, Amounts]
+"""Observed and hidden state afterwards, and a reward."""
+
+
 def start(config: WorldConfig, layout: Layout, key: Key) -> tuple[TableState, HiddenState]:
     """Set tables: draw the hidden state and take the camera's first look; all robots are free."""
     hidden_key, see_key = random.split(key)
@@ -85,7 +90,7 @@ def until_out_s(config: WorldConfig, key: Key) -> Float[Array, "*B K"] | None:
 
 def step(
     config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key, *, any_action: bool = False
-) -> tuple[TableState, HiddenState, Outcome]:
+) -> Stepped:
     """Let the deciding robot begin an action, and advance to the next decision.
 
     An attempt of a single robot on an object that is not on the table closes on nothing: it fails, and takes the
@@ -118,9 +123,7 @@ def step(
     return _step_of_several(config, state, hidden, action, key, is_possible)
 
 
-def _step_alone(
-    config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key
-) -> tuple[TableState, HiddenState, Outcome]:
+def _step_alone(config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key) -> Stepped:
     """One step of a single robot: its action ends without other events."""
     xp, actions = library_of(action), ActionSpace(state.num_objects)
     grasp_key, see_key = random.split(key)
@@ -144,7 +147,7 @@ def _ended(
     key: Key,
     robot: Which | None = None,
     in_the_air: Bool[Array, "*B N"] | bool = False,
-) -> tuple[TableState, HiddenState, Amounts]:
+) -> Paid:
     """Observed and hidden state after an attempt and the look that follows, and the reward."""
     state = after_attempt(state, verb, target, tried, was_hidden, robot)
     is_lifted = is_target(state, target) & (tried.is_held & (verb == Verb.LIFT))[..., None]
@@ -154,7 +157,7 @@ def _ended(
 
 def _step_of_several(
     config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key, is_possible: Flags | None
-) -> tuple[TableState, HiddenState, Outcome]:
+) -> Stepped:
     """Let the deciding robot begin an action, and process events until a robot is free to decide."""
     xp = library_of(action)
     grasp_key, see_key = random.split(key)
@@ -251,9 +254,7 @@ def _to_the_table(verb: Which) -> Which:
     return library_of(verb).where(verb == WAIT, Verb.FINISH, verb)
 
 
-def _next_event(
-    config: WorldConfig, state: TableState, hidden: HiddenState, key: Key
-) -> tuple[TableState, HiddenState, Outcome]:
+def _next_event(config: WorldConfig, state: TableState, hidden: HiddenState, key: Key) -> Stepped:
     """Process the next event, the first action to end or an earlier drop-out: state, hidden state and outcome."""
     robots, until_out = _robots(state), hidden.until_out_s
     xp, zero, never, out_s = library_of(robots.is_busy), np.float32(0.0), np.float32(np.inf), None
@@ -297,7 +298,7 @@ def _own_price(
 
 def _at_end(
     config: WorldConfig, state: TableState, hidden: HiddenState, robot: Which, passed_s: Amounts, key: Key
-) -> tuple[TableState, HiddenState, Amounts]:
+) -> Paid:
     """Observed and hidden state after a robot's action ends, and its reward."""
     robots, pending, xp = _robots(state), _pending(hidden), library_of(robot)
     verb, target, is_held = (at(values, robot) for values in (robots.verb, robots.target, pending.is_held))
