@@ -166,7 +166,7 @@ class Gripper:
         """Build the gripper alone: bodies ``hand``, ``finger_left`` and ``finger_right``, and a servo per finger."""
         spec = mujoco.MjSpec()
         hand = spec.worldbody.add_body(name="hand", gravcomp=1.0)
-        _add_box(hand, "palm", self.palm_m, (0, 0, 0.5 * self.palm_m[2]), mass=0.5, rgba=list(_DARK))
+        _add_box(hand, "palm", self.palm_m, (0.0, 0.0, 0.5 * self.palm_m[2]), mass=0.5, rgba=list(_DARK))
         hand.add_site(name="tcp", pos=[0, 0, self.tcp_m])
         for side, sign in _SIDES.items():
             self._add_finger(spec, hand, side, sign, contacts)
@@ -191,8 +191,8 @@ class Gripper:
             (self.finger_width_m, metal_m, self.finger_m),
             (self.pad_width_m, self.pad_thickness_m, self.pad_length_m),
         )
-        bar_at_m = (0, sign * (self.pad_thickness_m + 0.5 * metal_m), self.tip_m - 0.5 * self.finger_m)
-        pad_at_m, touch = (0, sign * 0.5 * self.pad_thickness_m, self.tcp_m), contacts.of_pad()
+        bar_at_m = (0.0, sign * (self.pad_thickness_m + 0.5 * metal_m), self.tip_m - 0.5 * self.finger_m)
+        pad_at_m, touch = (0.0, sign * 0.5 * self.pad_thickness_m, self.tcp_m), contacts.of_pad()
         _add_box(finger, f"bar_{side}", bar_m, bar_at_m, mass=0.05, rgba=list(_GREY))
         _add_box(finger, f"pad_{side}", pad_m, pad_at_m, mass=0.02, rgba=list(_BLACK), priority=1, **touch)
         servo = add_servo(spec, slide, stiffness=2500.0, damping=60.0)
