@@ -8,7 +8,7 @@ axis, about which it is rotated by α_i. The frame after the last joint is the *
 # pyright: reportAttributeAccessIssue=false
 
 from dataclasses import dataclass
-from math import pi, radians, sin
+from math import cos, pi, radians, sin
 from typing import Any, Protocol, runtime_checkable
 
 import mujoco
@@ -16,7 +16,7 @@ import numpy as np
 
 from halfseen.cell.gripper import ROBOT, add_servo, require_finite, require_positive
 from halfseen.errors import SceneError
-from halfseen.scene.poses import Pose, about_axis, compose
+from halfseen.scene.poses import Pose, compose
 from halfseen.shapes import Float
 
 LEAST_JOINTS = 5  # with fewer, an arm cannot orient its hand
@@ -198,7 +198,8 @@ class Arm:
         frames = [Pose((0.0, 0.0, 0.0)), *map(_next_frame, self.joints)]
         ends_m = [_end_m(frame, after.begin_m) for frame, after in zip(frames[1:], self.joints[1:], strict=False)]
         for index, (joint, end_m) in enumerate(zip(self.joints, [*ends_m, (0, 0, self.flange_m)], strict=True)):
-            turn = compose(about_axis((0.0, 0.0, 1.0), joint.zero_rad), frames[index].quaternion)
+            half_rad = 0.5 * joint.zero_rad
+            turn = compose((cos(half_rad), 0.0, 0.0, sin(half_rad)), frames[index].quaternion)
             body = body.add_body(name=f"link_{index + 1}", pos=list(frames[index].position_m), quat=list(turn))
             body.gravcomp = 1.0
             self._add_joint(spec, body, index)
@@ -220,7 +221,8 @@ class Arm:
 
 def _next_frame(joint: Joint) -> Pose:
     """Frame i relative to frame i − 1 after the joint's rotation."""
-    return Pose((joint.a_m, 0.0, joint.d_m), about_axis((1.0, 0.0, 0.0), joint.alpha_rad))
+    half_rad = 0.5 * joint.alpha_rad
+    return Pose((joint.a_m, 0.0, joint.d_m), (cos(half_rad), sin(half_rad), 0.0, 0.0))
 
 
 def _end_m(frame: Pose, begin_m: float) -> Float[np.ndarray, " 3"]:
