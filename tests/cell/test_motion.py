@@ -22,7 +22,7 @@ from halfseen.perception.view import SeenObject
 from halfseen.scene.poses import Pose
 from halfseen.scene.rays import UNSEEN_GROUP
 from halfseen.scene.table import TABLE_TOP_M
-from halfseen.scene.view import room_model
+from halfseen.scene.view import room_spec
 
 SPEEDS = ROBOT.arm.speeds_rad_s
 
@@ -176,7 +176,7 @@ def test_slots_lie_in_the_rack_apart_from_one_another_and_walls_weigh_nothing_an
     assert all(rack.holds(slot) for slot in rack.slots_m)
     assert not rack.holds(np.array([0.0, 0.0, TABLE_TOP_M]))
     mug = [MUG], standing((0.0, 0.0))
-    bare, plain = cell_model(*mug, robots=()), room_model(*mug, is_free=True)
+    bare, plain = cell_model(*mug, robots=()), room_spec(*mug, is_free=True).compile()
     assert (bare.geom_group == UNSEEN_GROUP).sum() == 16 + 1 + 5
     assert bare.body("cup_0").mass == plain.body("cup_0").mass
     np.testing.assert_array_equal(bare.body("cup_0").inertia, plain.body("cup_0").inertia)

@@ -23,7 +23,7 @@ from halfseen.scene.poses import about_axis, compose
 from halfseen.scene.rays import at_rest, cast
 from halfseen.scene.shipped import KEPT_WITHIN_M, NUM_TABLES, SEEDS, cloud_path, made_with, truth_path, versions
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, look_at, truth_of
-from halfseen.scene.view import TIMESTEP_S, cup_name, lone_cup_model, lone_depths_m, room_model, table_view
+from halfseen.scene.view import TIMESTEP_S, cup_name, lone_cup_model, lone_depths_m, room_spec, table_view
 from halfseen.scene.xtion import XTION, xtion_at
 
 PACKAGE = Path(halfseen.scene.__file__).parent
@@ -69,7 +69,7 @@ def test_cup_is_hollow_and_its_handle_has_a_hole():
 # At rest
 def moved_m(cups, world_from_cup, duration_s=0.5):
     """How far the farthest-moving cup goes when physics runs on [m]."""
-    model = room_model(cups, world_from_cup, is_free=True)
+    model = room_spec(cups, world_from_cup, is_free=True).compile()
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, round(duration_s / TIMESTEP_S))
     ends = [data.body(cup_name(index)).xpos for index in range(len(cups))]

@@ -17,7 +17,7 @@ from halfseen.scene.cups import Cup, outline
 from halfseen.scene.poses import Pose, Quaternion, about_axis, compose, pose_of
 from halfseen.scene.rays import at_rest
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table, Truth, look_at, truth_of
-from halfseen.scene.view import TIMESTEP_S, cup_name, is_whole_in_picture, lone_depths_m, room_model, table_view
+from halfseen.scene.view import TIMESTEP_S, cup_name, is_whole_in_picture, lone_depths_m, room_spec, table_view
 from halfseen.scene.xtion import XTION, loss_probability, xtion_at
 from halfseen.shapes import Float
 
@@ -114,7 +114,7 @@ _PATIENCE_S = 4.0
 
 def settle(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> tuple[Pose, ...] | None:
     """Let the cups fall, and return their poses at rest; None if a cup still moves after 4 s."""
-    model = room_model(cups, world_from_cup, is_free=True)
+    model = room_spec(cups, world_from_cup, is_free=True).compile()
     data = mujoco.MjData(model)
     num_quiet = 0
     for _ in range(round(_PATIENCE_S / TIMESTEP_S)):
@@ -133,7 +133,7 @@ def smallest_gap_m(cups: Sequence[Cup], world_from_cup: Sequence[Pose], beyond_m
     """
     if beyond_m <= 0:
         raise SceneError(f"smallest gap: beyond_m is {beyond_m}; give a positive length")
-    model = room_model(cups, world_from_cup, is_free=False)
+    model = room_spec(cups, world_from_cup, is_free=False).compile()
     data = at_rest(model)
     geoms = [np.flatnonzero(model.geom_bodyid == model.body(cup_name(index)).id) for index in range(len(cups))]
     pairs = (pair for of_cups in combinations(geoms, 2) for pair in product(*of_cups))

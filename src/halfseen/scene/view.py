@@ -35,18 +35,13 @@ def cup_name(index: int) -> str:
     return f"cup_{index}"
 
 
-def room_model(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: bool) -> mujoco.MjModel:
-    """Compile the whole room; physics moves the cups if they are free, otherwise they are fixed.
-
-    Body ``cup_i`` is cup i; everything else belongs to the world body.
-    """
-    return room_spec(cups, world_from_cup, is_free=is_free).compile()
-
-
 def room_spec(
     cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: bool, is_furnished: bool = True
 ) -> mujoco.MjSpec:
-    """Build the whole room, or only its cups, without compiling it, so that it can be extended; see `room_model`."""
+    """Build the whole room, or only its cups; physics moves the cups if they are free, otherwise they are fixed.
+
+    Body ``cup_i`` is cup i; everything else belongs to the world body.
+    """
     spec = mujoco.MjSpec()
     spec.option.timestep = TIMESTEP_S
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -190,7 +185,7 @@ def table_view(table: Table, baseline_m: float) -> IdealView:
 
     The projector is `baseline_m` to the camera's right [m]. Arrays are read-only.
     """
-    room = room_model(table.cups, table.world_from_cup, is_free=False)
+    room = room_spec(table.cups, table.world_from_cup, is_free=False).compile()
     view = ideal_view(Sight(at_rest(room), table.camera, baseline_m))
     for image in (view.depth_m, view.body, view.incidence_cosine, view.is_lit):
         image.flags.writeable = False
