@@ -25,9 +25,9 @@ from timings import Row, write
 from halfseen.cell import CellCamera, LiveCell, MountedArm, cell_model
 from halfseen.perception import perceive
 from halfseen.scene.draw import num_cups_of, random_table
-from halfseen.scene.moving import Sight, with_rays
+from halfseen.scene.moving import with_rays
 from halfseen.scene.rays import CUP_GROUP, FURNITURE_GROUP, ROBOT_GROUP
-from halfseen.scene.view import IdealView, ideal_view
+from halfseen.scene.view import IdealView, Sight, ideal_view
 from halfseen.scene.xtion import XTION
 
 NUM_CUPS, LOOK_BAR_S, PERCEIVE_BAR_S = 6, 0.25, 0.35
@@ -51,7 +51,7 @@ def eyes(num_tables: int) -> list[CellCamera]:
 
 def by_rays(eye: CellCamera, empty: IdealView) -> IdealView:
     """All that moves by MuJoCo's rays."""
-    sight = Sight(eye.cell.model, eye.cell.data, eye.camera, XTION.baseline_m)
+    sight = Sight(eye.cell.data, eye.camera, XTION.baseline_m)
     return with_rays(empty, sight, (FURNITURE_GROUP,), (ROBOT_GROUP, CUP_GROUP))
 
 
@@ -70,7 +70,7 @@ def seconds(run: Callable[[], object]) -> float:
 def timed(eye: CellCamera, num_runs: int) -> tuple[dict[str, list[float]], float]:
     """Seconds that each part took, turn by turn, and how far the two views are apart [m]."""
     cell = eye.cell
-    empty = ideal_view(cell.model, eye.camera, XTION.baseline_m, cell.data, (FURNITURE_GROUP,))
+    empty = ideal_view(Sight(cell.data, eye.camera, XTION.baseline_m), (FURNITURE_GROUP,))
     # The first call sees what never moves.
     apart_m = largest_difference_m(eye.view(), by_rays(eye, empty))
     cloud = eye.look(np.random.default_rng(0)).cloud

@@ -17,8 +17,8 @@ def refused(told=None, kind=HalfseenError):
 
 
 @contextmanager
-def refused_type(told):
+def refused_type(told, kind=ArgumentError):
     """Expect a refusal of an argument of another type, which beartype refuses first where shapes are checked."""
-    with pytest.raises((ArgumentError, TypeCheckError), match=f"{told}|Type-check error") as caught:
+    with pytest.raises((kind, TypeCheckError), match=f"{told}|Type-check error") as caught:
         yield caught
     assert isinstance(caught.value, TypeCheckError) or "\n" not in str(caught.value)

@@ -35,6 +35,8 @@ RowIds: TypeAlias = Int[np.ndarray, " n"]
 Points: TypeAlias = Float[np.ndarray, "n 3"]
 Image: TypeAlias = Float[np.ndarray, "H W"]
 Intrinsics: TypeAlias = Float[np.ndarray, "3 3"]
+Transform: TypeAlias = Float[np.ndarray, "4 4"]
+"""Of homogeneous points."""
 Hides: TypeAlias = Float[np.ndarray, "N N"]
 PerObject: TypeAlias = Float[np.ndarray, " N"]
 ObjectMask: TypeAlias = Bool[np.ndarray, " N"]

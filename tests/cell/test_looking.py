@@ -20,7 +20,7 @@ from halfseen.cell.table_state import Belief, no_grip, rows_of, state_of
 from halfseen.perception import perceive
 from halfseen.scene import Camera, Cup, Pose, Surface, random_table, read_table
 from halfseen.scene.table import TABLE_TOP_M, Table, look_at
-from halfseen.scene.view import cup_name, ideal_view, table_view
+from halfseen.scene.view import Sight, cup_name, ideal_view, table_view
 from halfseen.scene.xtion import XTION, xtion_at
 from halfseen.world import WorldConfig
 
@@ -55,7 +55,7 @@ def alike(one, other):
 
 
 def by_rays(cell, camera):
-    return ideal_view(cell.model, camera, XTION.baseline_m, cell.data)
+    return ideal_view(Sight(cell.data, camera, XTION.baseline_m))
 
 
 def test_cups_are_where_the_table_at_rest_has_them_and_the_robot_is_cut_out(cell, eye, drawn):

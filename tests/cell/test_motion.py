@@ -5,7 +5,6 @@ Grasps close where the shape says; nothing that is seen stands in their way; hid
 
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 from cells import CUP, DOWN, DOWN_AXES, HOME, MUG, ROBOT, WORLD_FROM_TABLE, standing
@@ -14,7 +13,7 @@ from halfseen.cell.fetching import NUM_SIDES, SHOWN_AT_M, is_in_hand, turned
 from halfseen.cell.grasps import CLEARANCE_M, FLOOR_M, GRASPING, Grasp, Surroundings, hand_axes, ranked, tips_m
 from halfseen.cell.gripper import Gripper
 from halfseen.cell.kinematics import NEAR_M, Kinematics, line, schedule
-from halfseen.cell.live_cell import LiveCell, Move
+from halfseen.cell.live_cell import Grip, LiveCell, Move
 from halfseen.cell.model import SLOT_M, MountedArm, Rack, cell_model
 from halfseen.cell.planning import plans
 from halfseen.errors import PlanError, SceneError
@@ -23,11 +22,9 @@ from halfseen.perception.view import SeenObject
 from halfseen.scene.poses import Pose
 from halfseen.scene.rays import UNSEEN_GROUP
 from halfseen.scene.table import TABLE_TOP_M
-from halfseen.scene.view import room_model
+from halfseen.scene.view import room_spec
 
 SPEEDS = ROBOT.arm.speeds_rad_s
-RAISED = np.array([0.0, 3.0, 1.2, 0.0, 0.0, 0.0])
-PLACE_M = (0.05, 0.05)
 
 
 @pytest.fixture(scope="module")
@@ -134,53 +131,16 @@ def test_a_grasp_out_of_reach_or_through_furniture_says_so(kinematics, grasps, m
         next(plans(grasps, WORLD_FROM_TABLE, kinematics, HOME, rng_of()))
 
 
-def at_rest(model, angles=RAISED, opening_m=0.0):
-    data = mujoco.MjData(model)
-    names, slides = ROBOT.joint_names, ROBOT.slide_names
-    for name, place in [*zip(names, angles, strict=True), *((name, 0.5 * opening_m) for name in slides)]:
-        data.joint(name).qpos = data.actuator(name).ctrl = place
-    return data
-
-
-def let_run(model, data, seconds, opening_m=None):
-    for name in ROBOT.slide_names if opening_m is not None else ():
-        data.actuator(name).ctrl = 0.5 * opening_m
-    mujoco.mj_step(model, data, round(seconds / model.opt.timestep))
-
-
 def test_fingers_open_and_close_alike_and_cups_and_arm_stay_where_they_are():
     places = (0.0, 0.0), (0.2, 0.1)
-    model = cell_model([CUP, MUG], standing(*places))
-    data = at_rest(model)
+    cell = LiveCell(cell_model([CUP, MUG], standing(*places)), [ROBOT])
     for wanted in (Gripper().stroke_m, 0.0):
-        let_run(model, data, 1.0, wanted)
-        left, right = (data.geom(ROBOT.of(f"gripper/pad_{side}")).xpos for side in ("left", "right"))
+        cell.do(ROBOT, Grip(wanted, 1.0))
+        left, right = (cell.data.geom(ROBOT.of(f"gripper/pad_{side}")).xpos for side in ("left", "right"))
         assert np.linalg.norm(left - right) - Gripper().pad_thickness_m == pytest.approx(wanted, abs=1e-3)
     for number, place in enumerate(places):
-        np.testing.assert_allclose(data.body(f"cup_{number}").xpos, [*place, TABLE_TOP_M], atol=2e-3)
-    np.testing.assert_allclose([data.joint(name).qpos[0] for name in ROBOT.joint_names], RAISED, atol=1e-4)
-
-
-@pytest.mark.parametrize("friction", [0.15, 0.9])
-@pytest.mark.parametrize("cup", [CUP, MUG], ids=["cup", "mug"])
-def test_a_cup_that_is_gripped_around_is_lifted(cup, friction):
-    model = cell_model([cup], standing(PLACE_M), frictions=[friction], racks=[Rack()])
-    kinematics, rng, grip_m = Kinematics(model, ROBOT), rng_of(), TABLE_TOP_M + cup.height_m - 0.02
-    begins = [rng.uniform([-3, 2, 0.6, -3, -3, -3], [3, 4.3, 5, 3, 3, 3]) for _ in range(12)]
-    # It closes along y, past the handle, which points along x.
-    trajectory = [kinematics.solve_from(Pose((*PLACE_M, grip_m), DOWN), begins, begins[0])]
-    assert trajectory[0] is not None
-    for rise_m in np.linspace(0.01, 0.15, 15):
-        trajectory.append(kinematics.solve(Pose((*PLACE_M, grip_m + rise_m), DOWN), trajectory[-1]))
-    data = at_rest(model, trajectory[0], Gripper().stroke_m)
-    let_run(model, data, 0.2)
-    let_run(model, data, 0.7, 0.0)
-    for angles in trajectory:
-        for name, angle in zip(ROBOT.joint_names, angles, strict=True):
-            data.actuator(name).ctrl = angle
-        let_run(model, data, 0.1)
-    let_run(model, data, 0.5)
-    assert data.body("cup_0").xpos[2] - TABLE_TOP_M == pytest.approx(0.15, abs=0.02)
+        np.testing.assert_allclose(cell.cup(number).position_m, [*place, TABLE_TOP_M], atol=2e-3)
+    np.testing.assert_allclose(cell.angles_rad(ROBOT), HOME, atol=1e-4)
 
 
 def test_a_cup_is_shown_from_two_opposite_sides_and_what_is_held_is_told_from_what_stands_below():
@@ -216,7 +176,7 @@ def test_slots_lie_in_the_rack_apart_from_one_another_and_walls_weigh_nothing_an
     assert all(rack.holds(slot) for slot in rack.slots_m)
     assert not rack.holds(np.array([0.0, 0.0, TABLE_TOP_M]))
     mug = [MUG], standing((0.0, 0.0))
-    bare, plain = cell_model(*mug, robots=()), room_model(*mug, is_free=True)
+    bare, plain = cell_model(*mug, robots=()), room_spec(*mug, is_free=True).compile()
     assert (bare.geom_group == UNSEEN_GROUP).sum() == 16 + 1 + 5
     assert bare.body("cup_0").mass == plain.body("cup_0").mass
     np.testing.assert_array_equal(bare.body("cup_0").inertia, plain.body("cup_0").inertia)

@@ -9,7 +9,6 @@ import lzf
 import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
-from numpy.lib.recfunctions import repack_fields
 from plyfile import PlyData, PlyElement
 from pypcd4 import Encoding, PointCloud
 
@@ -46,8 +45,8 @@ def vertices(names: tuple[str, ...], colour_kind: str = "u1") -> np.ndarray:
     return np.ones(NUM, dtype=[(name, "f4" if name in "xyz" else colour_kind) for name in names])
 
 
-def write_ply(path: Path, vertex: np.ndarray, *, is_text: bool = False) -> None:
-    PlyData([PlyElement.describe(vertex, "vertex")], text=is_text).write(str(path))
+def write_ply(path: Path, vertex: np.ndarray) -> None:
+    PlyData([PlyElement.describe(vertex, "vertex")]).write(str(path))
 
 
 def pcd_header(width: int, height: int, data: str, fields: str = "x y z") -> bytes:
@@ -274,21 +273,10 @@ def test_a_float_or_its_bits_as_a_whole_number_in_text_are_a_colour(tmp_path, po
     np.testing.assert_array_equal(read_cloud(tmp_path / "cloud.pcd").colours, colours)
 
 
-@pytest.mark.parametrize("is_text", [True, False])
-def test_ply_files_of_another_library_are_read_right(tmp_path, points, colours, is_text):
-    vertex = vertices(("x", "blue", "y", "red", "z", "green"))
-    for k, (axis, name) in enumerate(zip("xyz", ("red", "green", "blue"), strict=True)):
-        vertex[axis], vertex[name] = points[:, k], colours[:, k]
-    write_ply(tmp_path / "cloud.ply", vertex, is_text=is_text)
-    cloud = read_cloud(tmp_path / "cloud.ply")
-    assert cloud.shape is None
-    np.testing.assert_allclose(cloud.points_m, points, rtol=1e-6)
-    np.testing.assert_array_equal(cloud.colours, colours)
-    # Red alone is no colour.
-    write_ply(tmp_path / "red.ply", repack_fields(vertex[["x", "y", "z", "red"]]), is_text=is_text)
+def test_red_alone_is_no_colour(tmp_path):
+    write_ply(tmp_path / "red.ply", vertices(("x", "y", "z", "red")))
     red = read_cloud(tmp_path / "red.ply")
-    np.testing.assert_allclose(red.points_m, points, rtol=1e-6)
-    assert red.colours is None
+    assert (red.num_returns, red.shape, red.colours) == (NUM, None, None)
 
 
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
@@ -309,7 +297,6 @@ def test_ply_files_of_both_byte_orders_are_read_past_other_properties_and_elemen
     tmp_path, points, colours, form, kind, has_lists
 ):
     """Written by hand: a reader that took a number for its neighbour, or turned its bytes, would miss by far."""
-    points[7] = 1.0
     kinds = {"nx": "float", "x": kind, "quality": "short", "red": "uchar", "y": kind, "green": "uchar", "flag": "char"}
     kinds |= {"z": kind, "blue": "uchar", "where": "int"}
     sizes = {"float": "f4", "double": "f8", "short": "i2", "uchar": "u1", "char": "i1", "int": "i4"}

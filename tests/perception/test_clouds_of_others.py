@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from drawn_tables import TABLE_HALF_M, Can, camera_point, draw
+from drawn_tables import EYE_M, TABLE_HALF_M, Can, K, camera_point, draw, hit_can, hit_room, rays
 from halfseen.errors import CloudError
 from halfseen.perception import Cloud, View, perceive, read_cloud
 from halfseen.perception.picture import sentence
@@ -136,3 +136,38 @@ def test_what_is_cut_or_beside_the_table_hides_and_is_no_object(other, num_cut):
 def test_a_wall_behind_the_table_is_no_object_that_the_border_cuts():
     view = perceive(draw(*PAIR, wall_m=TABLE_HALF_M[1] + 0.04).cloud)
     assert (len(view.objects), view.num_cut) == (2, 0)
+
+
+FAR_EYE_M = np.array([0.0, -1.2, 0.85])  # sees what is over half a metre high
+STANDING = (Can(-0.15, 0.0, 0.035, 0.09), Can(0.0, -0.02, 0.035, 0.09), Can(0.14, 0.05, 0.04, 0.11))
+BESIDE = (STANDING[0], STANDING[2])
+GRIPPER = ((Can(0.0, -0.02, 0.045, 0.07, is_open=False), 0.17), (Can(0.0, -0.02, 0.03, 0.6, is_open=False), 0.22))
+HELD = (*GRIPPER, (Can(0.0, -0.02, 0.035, 0.09), 0.10))
+BEHIND = (Can(-0.1, 0.05, 0.04, 0.15), Can(0.1, 0.05, 0.035, 0.15))
+
+
+@pytest.mark.parametrize(
+    ("standing", "floating", "eye_m"),
+    [
+        # The can below was taken for a part of the gripper, which the border cuts, and both were left out.
+        *((STANDING, GRIPPER, eye_m) for eye_m in (EYE_M, FAR_EYE_M)),
+        # What is held was an object that stands there, as high as the gripper; so was its inner wall alone.
+        *((BESIDE, HELD, eye_m) for eye_m in (EYE_M, FAR_EYE_M)),
+        # An arm was one if it is longer than four times its width, or goes on above half a metre.
+        (BESIDE, [(Can(0.02, 0.1, 0.02, 0.9, is_open=False), 0.0)], EYE_M),
+        (BESIDE, [(Can(0.02, 0.1, 0.03, 0.9, is_open=False), 0.0)], FAR_EYE_M),
+        ((Can(-0.1, -0.1, 0.05, 0.13), Can(0.1, -0.1, 0.05, 0.13), *BEHIND), (), EYE_M),
+    ],
+    ids=["near", "far", "holding, near", "holding, far", "cut arm", "high arm", "no arm, but one behind the other"],
+)
+def test_cans_stand_on_the_table_and_arms_grippers_and_what_they_hold_do_not(standing, floating, eye_m):
+    """Floating cans have a height of their lower end [m]."""
+    way = rays()
+    origin = np.broadcast_to(eye_m, way.shape)
+    things = [*((can, 0.0) for can in standing), *floating]
+    alone = np.array([hit_can(can, origin - [0.0, 0.0, begin_m], way) for can, begin_m in things])
+    stacked = np.concatenate([hit_room(origin, way, False, 1.4)[None], alone])
+    depth, labels = stacked.min(axis=0), stacked.argmin(axis=0) - 1
+    view = perceive(Cloud.from_depth(np.where(np.isfinite(depth), depth, np.nan), K, "arm"))
+    found = sorted(int(np.bincount(labels.ravel()[one.pixels] + 1).argmax()) - 1 for one in view.objects)
+    assert found == list(range(len(standing)))

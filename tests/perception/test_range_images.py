@@ -1,15 +1,18 @@
-"""Pixels of clouds in any order beside loops over all points, their colours, and pictures of what is seen."""
+"""Pixels of clouds in any order beside loops over all points, their colours and noise, and pictures of what is seen."""
 
 import io
 
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.ndimage import gaussian_filter
 
 from drawn_tables import Can, K, draw
 from halfseen.perception import XTION, Cloud, DepthSensor, perceive
 from halfseen.perception.labels import pixel_colours
-from halfseen.perception.picture import COLOURS, DOTS_PER_INCH, THUMBNAIL_INCHES, thumbnail
+from halfseen.perception.picture import COLOURS, DOTS_PER_INCH, THUMBNAIL_INCHES, sentence, thumbnail
+from halfseen.perception.picture import draw as draw_picture
+from halfseen.perception.plane import find_table, noise_factor
 from halfseen.perception.range_image import NEIGHBOUR_SHARE, VIRTUAL_PIXEL_SCALE, WIDENING, range_image
 
 
@@ -128,3 +131,61 @@ def test_a_grid_that_lost_most_of_its_returns_shows_the_same_objects(lost):
     view = perceive(Cloud.from_depth(depth, K, "holes"))
     assert view.image.is_virtual
     assert sorted(round(seen.height_m, 2) for seen in view.objects) == pytest.approx([0.1] * 3, abs=0.011)
+
+
+BEHIND_TWO = (Can(0.0, 0.1, 0.05, 0.12), Can(-0.06, -0.05, 0.035, 0.11), Can(0.045, -0.05, 0.025, 0.11))
+
+
+@pytest.fixture(scope="module")
+def view():
+    return perceive(draw(*BEHIND_TWO).cloud)
+
+
+def test_the_share_that_several_hide_is_not_said_of_one(view):
+    """It said that object 1 alone hides what two hide together."""
+    worst = max(view.objects, key=lambda seen: seen.occlusion)
+    shares = view.hides[worst.id]
+    assert np.sort(shares)[-2] > 0.05
+    whole, most = f"({worst.occlusion:.2f})", f"({shares.max():.2f})"
+    assert whole != most
+    assert sentence(view).endswith(f"is hidden most {whole}, above all by object {shares.argmax()} {most}.")
+
+
+def test_the_words_below_a_picture_lie_within_it(view, tmp_path):
+    draw_picture(view, tmp_path / "view.png")
+    below = np.asarray(Image.open(tmp_path / "view.png").convert("L"))[-60:]
+    assert below.min() < 100
+    assert below[:, :20].min() == below[:, -20:].min() == 255
+
+
+# Cameras that err more than they are said to: the table shows it, and nothing is invented.
+SPREAD_PX = 1.5
+CANS = (Can(-0.15, 0.0, 0.04, 0.11), Can(0.0, 0.08, 0.035, 0.09), Can(0.14, -0.05, 0.04, 0.10))
+
+
+def noisy_cloud_of(cans, factor, seed=0):
+    """Cans as a camera sees them that errs by this multiple of an Xtion's noise, alike in neighbouring pixels."""
+    depth = draw(*cans).depth_m
+    error = gaussian_filter(np.random.default_rng(seed).standard_normal(depth.shape), SPREAD_PX, mode="wrap")
+    error *= np.sqrt(4 * np.pi) * SPREAD_PX
+    return Cloud.from_depth(depth + factor * XTION.noise_m(depth) * error, K, "noisy")
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0, 4.0])
+def test_the_noise_of_a_table_is_measured_whatever_stands_there(factor):
+    for cans in (CANS, ()):
+        image = range_image(noisy_cloud_of(cans, factor))
+        assert noise_factor(find_table(image), image) == pytest.approx(factor, rel=0.2)
+
+
+@pytest.mark.parametrize("factor", [2.0, 3.0, 4.0])
+def test_what_is_only_noise_is_no_object_and_no_can_is_several(factor):
+    """At 4 there were five bumps on an empty table, and cans in pieces."""
+    assert len(perceive(noisy_cloud_of((), factor)).objects) == 0
+    heights_m = sorted(seen.height_m for seen in perceive(noisy_cloud_of(CANS, factor, seed=1)).objects)
+    assert heights_m == pytest.approx([0.09, 0.10, 0.11], abs=0.015)
+
+
+def test_depths_in_steps_of_two_centimetres_are_noise():
+    depth = np.round(draw(*CANS).depth_m / 0.02) * 0.02
+    assert len(perceive(Cloud.from_depth(depth, K, "steps")).objects) == 3

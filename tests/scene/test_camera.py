@@ -13,10 +13,10 @@ from halfseen.scene import Camera, Cup, Pose, Stain, Surface, Table, capture, dr
 from halfseen.scene.cups import SURFACES
 from halfseen.scene.moving import projector_columns_px, shaded_within, shown_within
 from halfseen.scene.poses import about_axis, compose
-from halfseen.scene.rays import RowRays, first_met
+from halfseen.scene.rays import RowRays, at_rest, first_met
 from halfseen.scene.record import COLOUR_CAMERA, colours, middle_m, painted
 from halfseen.scene.table import TABLE_TOP_M, look_at
-from halfseen.scene.view import IdealView, ideal_view, table_view
+from halfseen.scene.view import IdealView, Sight, ideal_view, table_view
 from halfseen.scene.xtion import XTION, depth_from_disparity_m, disparity_noise_px, noisy_disparity_px, sense, xtion_at
 
 FOCAL_PX, SHAPE = 577.0, (480, 640)
@@ -53,7 +53,7 @@ def seen_of_boxes(camera, *boxes_m):
     spec = mujoco.MjSpec()
     for centre_m, half_m in boxes_m:
         spec.worldbody.add_body(pos=centre_m).add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half_m)
-    return ideal_view(spec.compile(), camera, XTION.baseline_m)
+    return ideal_view(Sight(at_rest(spec.compile()), camera, XTION.baseline_m))
 
 
 def test_ideal_depth_of_a_wall_is_its_distance_along_the_axis_and_of_nothing_nan():

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from collections import Counter
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -19,10 +20,10 @@ from halfseen.scene.__main__ import main
 from halfseen.scene.cups import NUM_AROUND, body_mesh, handle_mesh
 from halfseen.scene.draw import GAP_M, MAX_OCCLUSION, MIN_RETURNS_PX, num_cups_of, settle, smallest_gap_m
 from halfseen.scene.poses import about_axis, compose
-from halfseen.scene.rays import cast
+from halfseen.scene.rays import at_rest, cast
 from halfseen.scene.shipped import KEPT_WITHIN_M, NUM_TABLES, SEEDS, cloud_path, made_with, truth_path, versions
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, look_at, truth_of
-from halfseen.scene.view import TIMESTEP_S, cup_name, ideal_view, lone_cup_model, lone_depths_m, room_model, table_view
+from halfseen.scene.view import TIMESTEP_S, cup_name, lone_cup_model, lone_depths_m, room_spec, table_view
 from halfseen.scene.xtion import XTION, xtion_at
 
 PACKAGE = Path(halfseen.scene.__file__).parent
@@ -55,12 +56,12 @@ def test_surfaces_are_closed_look_outward_and_have_the_volume_of_their_prism():
 
 
 def test_cup_is_hollow_and_its_handle_has_a_hole():
-    model = lone_cup_model(MUG, HERE)
-    down = cast(model, np.array([0.003, 0.001, 1.0]), np.array([[0.0, 0.0, -1.0]]), 5.0)
+    mug = at_rest(lone_cup_model(MUG, HERE))
+    down = cast(mug, np.array([0.003, 0.001, 1.0]), np.array([[0.0, 0.0, -1.0]]), 5.0)
     assert 1.0 - down.distance_m[0] == pytest.approx(MUG.bottom_m, abs=1e-7)  # meshes are float32
     x_m, across = MUG.radius_at(0.05) + 0.4 * MUG.handle_m, np.array([[0.0, 1.0, 0.0]])
     heights_m = np.linspace(0.02, 0.09, 71)
-    is_met = [cast(model, np.array([x_m, -1.0, z_m]), across, 5.0).body[0] > 0 for z_m in heights_m]
+    is_met = [cast(mug, np.array([x_m, -1.0, z_m]), across, 5.0).body[0] > 0 for z_m in heights_m]
     assert any(is_met)
     assert not is_met[35]
 
@@ -68,7 +69,7 @@ def test_cup_is_hollow_and_its_handle_has_a_hole():
 # At rest
 def moved_m(cups, world_from_cup, duration_s=0.5):
     """How far the farthest-moving cup goes when physics runs on [m]."""
-    model = room_model(cups, world_from_cup, is_free=True)
+    model = room_spec(cups, world_from_cup, is_free=True).compile()
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, round(duration_s / TIMESTEP_S))
     ends = [data.body(cup_name(index)).xpos for index in range(len(cups))]
@@ -141,8 +142,9 @@ def test_returns_of_a_cup_lie_on_that_cup(table, picture):
 
 def seen_px(table, which, cup):
     """Pixels that show a cup when only some cups are there, by a full picture of exactly those."""
-    model = room_model([table.cups[k] for k in which], [table.world_from_cup[k] for k in which], is_free=False)
-    return int(np.sum(ideal_view(model, table.camera, XTION.baseline_m).labels == which.index(cup)))
+    cups, poses = (tuple(each[k] for k in which) for each in (table.cups, table.world_from_cup))
+    view = table_view(replace(table, cups=cups, world_from_cup=poses), XTION.baseline_m)
+    return int(np.sum(view.labels == which.index(cup)))
 
 
 def test_hand_made_depths(table):

@@ -10,7 +10,7 @@ from halfseen.world import ActionSpace, Scene, Verb, WorldConfig, random
 from halfseen.world.actions import WAIT, possible_actions, wait_of
 from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start, step
-from picked import assert_same, leaves_of, picked, repeated
+from picked import assert_same, picked, repeated
 from played_teams import SureGrasping
 from world.world_cases import layouts_of
 
@@ -189,9 +189,7 @@ def test_what_a_robot_that_drops_out_was_at_is_put_back_and_the_others_go_on():
     before, after, outcome = answers[2]
     assert (float(outcome.duration_s), float(outcome.reward), bool(outcome.is_over)) == (1.0, 0.0, False)
     assert outcome.out_s.tolist() == [np.inf, 1.0]
-    seen = (leaves_of(replace(each, robots=None, decider=None)) for each in (before, after))
-    for one, other in zip(*seen, strict=True):
-        np.testing.assert_array_equal(one, other)
+    assert_same(*(replace(each, robots=None, decider=None) for each in (before, after)))
     assert after.robots.is_out.tolist() == [False, True]
     assert after.robots.is_busy.tolist() == [False, False]
     assert int(after.decider) == 0
@@ -218,11 +216,7 @@ def test_that_a_robot_may_drop_out_changes_no_other_draw():
     layout, may, cannot = layout_of(space=workspace(2, 3)), team_of(drop_out_rate=(0.1, 0.0)), team_of()
     drawn, plain = (start(config, layout, random.key_of(3)) for config in (may, cannot))
     assert np.isinf(drawn[1].until_out_s).tolist() == [False, True]
-    seen, secret = (
-        leaves_of((replace(state, robots=None), replace(hidden, until_out_s=None))) for state, hidden in (drawn, plain)
-    )
-    for one, other in zip(seen, secret, strict=True):
-        np.testing.assert_array_equal(one, other)
+    assert_same(*((replace(state, robots=None), replace(hidden, until_out_s=None)) for state, hidden in (drawn, plain)))
     # Where nobody can, neither state nor secrets hold anything more than before.
     assert plain[0].robots.is_out is None
     assert plain[1].until_out_s is None

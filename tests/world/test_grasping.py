@@ -32,6 +32,7 @@ from halfseen.world.state import NO_ATTEMPT, occlusion, pad_scenes
 from halfseen.world.transition import start
 from own_laws import KEY, LOGISTIC, NUM_OBJECTS, WORLD, first_layout, met, world_of
 from own_laws import played as played_in
+from refusals import refused
 
 OCCLUDED, OFFSET = np.linspace(0.0, 1.0, 5)[:, None], np.array([-2.0, 0.0, 0.7])
 
@@ -161,6 +162,5 @@ BARE = {"base_m": (0.0, 0.0), "reach_m": 1.0, "name": "robot"}
     ],
 )
 def test_what_is_no_law_is_told_in_one_line(wrong, told):
-    with pytest.raises(ArgumentError, match=told) as caught:
+    with refused(told, ArgumentError):
         wrong()
-    assert "\n" not in str(caught.value)

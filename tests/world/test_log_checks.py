@@ -14,6 +14,7 @@ from halfseen.world import TableWorld, UniformPolicy
 from halfseen.world.log_checks import check_log, checked_tables
 from halfseen.world.logs import states_of
 from played_teams import logged, played, team_of
+from refusals import refused
 from small_logs import table_log
 from world.world_cases import FITTED_SCENES
 
@@ -45,10 +46,9 @@ def changed(logs, table="stages", row=0, **values):
     return Logs(tables["stages"], tables["trajectories"], tables["objects"])
 
 
-def refused(told, read, logs):
-    with pytest.raises(LogError, match=told) as caught:
+def refuses(told, read, logs):
+    with refused(told, LogError):
         read(logs)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +66,7 @@ def refused(told, read, logs):
 )
 def test_a_broken_object_is_named(alone, column, value, told):
     place = "trajectory 0, stage 1, object 0: "
-    refused(place + told, lambda logs: states_of(changed(logs, "objects", **{column: value}), 10), alone)
+    refuses(place + told, lambda logs: states_of(changed(logs, "objects", **{column: value}), 10), alone)
 
 
 def test_an_object_that_vanishes_is_named(alone):
@@ -76,15 +76,15 @@ def test_an_object_that_vanishes_is_named(alone):
     gone = next(k for k in range(3) if k != acted)
     kept = ~((objects["trajectory"] == trajectory) & (objects["stage"] == 2) & (objects["object"] == gone))
     told = f"trajectory {trajectory}, stage 1, object {gone}: stage 2 no longer lists it"
-    refused(told, lambda logs: states_of(logs, 10), Logs(stages, alone.trajectories, objects[kept]))
+    refuses(told, lambda logs: states_of(logs, 10), Logs(stages, alone.trajectories, objects[kept]))
 
 
 def test_a_log_without_objects_or_with_too_many_stages_is_refused(alone):
     nothing = Logs(alone.stages.drop(columns="object"), alone.trajectories)
     fewer = Logs(alone.stages, alone.trajectories, alone.objects.drop(columns="lifts"))
-    refused("the log has no objects table", lambda logs: states_of(logs, 10), nothing)
-    refused("there is no column 'lifts' among", lambda logs: states_of(logs, 10), fewer)
-    refused("more than horizon=2", lambda logs: states_of(logs, 2), alone)
+    refuses("the log has no objects table", lambda logs: states_of(logs, 10), nothing)
+    refuses("there is no column 'lifts' among", lambda logs: states_of(logs, 10), fewer)
+    refuses("more than horizon=2", lambda logs: states_of(logs, 2), alone)
 
 
 READERS = pytest.mark.parametrize(
@@ -118,25 +118,25 @@ READERS = pytest.mark.parametrize(
 )
 def test_stages_that_no_team_has_are_refused(team, values, told, read):
     read(team)
-    refused(told, read, changed(team, **values))
+    refuses(told, read, changed(team, **values))
 
 
 @READERS
 @pytest.mark.parametrize("column", ["1_since_s", "1_decisions_to_go"])
 def test_text_in_place_of_numbers_is_refused(team, column, read):
     text = Logs(team.stages.assign(**{column: team.stages[column].astype(str)}), team.trajectories, team.objects)
-    refused(f"stages: column '{column}' holds string, not numbers; convert it", read, text)
+    refuses(f"stages: column '{column}' holds string, not numbers; convert it", read, text)
 
 
 def test_more_decisions_than_a_trajectory_may_have_are_refused(team):
     told = "1_decisions_to_go is 1000000000, more than horizon=10 decisions of all robots together; raise horizon"
     many = changed(team, **{"1_decisions_to_go": 10**9})
-    refused(f"trajectory 0, stage 1: {told}", lambda logs: states_of(logs, 10), many)
+    refuses(f"trajectory 0, stage 1: {told}", lambda logs: states_of(logs, 10), many)
 
 
 def test_two_robots_at_one_object_are_refused(frail):
     both = changed(frail, **{"1_does": "WASH 1", "2_does": "LIFT 1"})
-    refused(
+    refuses(
         "trajectory 0, stage 1: 1_does is 'WASH 1', and 2_does names the same object",
         lambda logs: states_of(logs, 15),
         both,
@@ -158,20 +158,20 @@ def test_two_robots_at_one_object_are_refused(frail):
 def test_lists_that_name_what_there_is_not_are_refused(team, column, value, told, read):
     lengths = team.objects["attempt_by"].map(len).tolist()
     row = lengths.index(1) if column == "attempt_by" else 0
-    refused(told, read, changed(team, "objects", row, **{column: np.asarray(value, dtype=type((*value, 0)[0]))}))
+    refuses(told, read, changed(team, "objects", row, **{column: np.asarray(value, dtype=type((*value, 0)[0]))}))
 
 
 @READERS
 def test_who_acts_beyond_its_reach_is_refused(team, read):
     acts = team.stages[(team.stages["robot"] == 0) & team.stages["object"].notna()].iloc[0]
     nobody = Logs(team.stages, team.trajectories, team.objects.assign(reached_by=[[1]] * len(team.objects)))
-    refused(f"robot 0 starts on object {acts['object']}, which reached_by says it cannot reach", read, nobody)
+    refuses(f"robot 0 starts on object {acts['object']}, which reached_by says it cannot reach", read, nobody)
 
 
 @READERS
 def test_a_drop_out_of_a_robot_that_there_is_none_of_is_refused(team, read):
     told = r"trajectories: column '5_out_s' is of an unknown robot; the stages have robots 0 to 1: "
-    refused(told, read, Logs(team.stages, team.trajectories.assign(**{"5_out_s": np.nan}), team.objects))
+    refuses(told, read, Logs(team.stages, team.trajectories.assign(**{"5_out_s": np.nan}), team.objects))
 
 
 @pytest.mark.parametrize(
@@ -188,13 +188,13 @@ def test_a_drop_out_of_a_robot_that_there_is_none_of_is_refused(team, read):
     ],
 )
 def test_a_drop_out_that_cannot_be_is_refused(frail, change, told):
-    refused(told, lambda logs: Logs(logs.stages, logs.trajectories.assign(**change), logs.objects), frail)
+    refuses(told, lambda logs: Logs(logs.stages, logs.trajectories.assign(**change), logs.objects), frail)
 
 
 def test_what_a_robot_brought_is_a_number_where_the_stage_was_completed(frail):
     nothing = frail.stages.assign(**{"1_reward": np.nan})
     told = r"trajectory 0, stage 1: 1_reward is null; give a finite number for each completed"
-    refused(told, lambda logs: Logs(nothing, logs.trajectories, logs.objects), frail)
+    refuses(told, lambda logs: Logs(nothing, logs.trajectories, logs.objects), frail)
     assert "1_reward" not in frail.stage_covariates
     assert "1_since_s" in frail.stage_covariates
 
@@ -222,7 +222,7 @@ def test_numbers_of_objects_are_numbers(kind, column):
     spoilt = Logs(logs.stages, logs.trajectories, objects)
     for read in (checked_tables, attempts):
         if read is checked_tables or column not in ("log_odds", "lifts"):
-            refused(rf"^objects: column '{column}' holds [\w-]+, not numbers; convert it$", read, spoilt)
+            refuses(rf"^objects: column '{column}' holds [\w-]+, not numbers; convert it$", read, spoilt)
 
 
 def as_decimals(logs, *columns):
@@ -248,7 +248,7 @@ def test_a_prior_is_a_number(alone, kind):
     trajectories = pa.Table.from_pandas(alone.trajectories.drop(columns="dirty_share"), preserve_index=False)
     trajectories = trajectories.append_column("dirty_share", AS_OTHER[kind]([0.5] * alone.num_trajectories))
     told = r"^trajectories: column 'dirty_share' holds \w+, not numbers; convert it$"
-    refused(told, logged_dirty_share, Logs(alone.stages, trajectories, alone.objects))
+    refuses(told, logged_dirty_share, Logs(alone.stages, trajectories, alone.objects))
 
 
 @pytest.mark.parametrize("kind", ["list", "struct", "bytes", "bool"])
@@ -257,4 +257,4 @@ def test_what_robots_do_is_text(kind):
     stages = pa.Table.from_pandas(logs.stages, preserve_index=False)
     words = AS_OTHER[kind](logs.stages["0_does"].tolist())
     stages = stages.set_column(stages.column_names.index("0_does"), "0_does", words)
-    refused("0_does", check_log, Logs(stages, logs.trajectories, logs.objects))
+    refuses("0_does", check_log, Logs(stages, logs.trajectories, logs.objects))

@@ -4,12 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from jaxtyping import TypeCheckError
 
-from halfseen.errors import ArgumentError, SceneError
+from halfseen.errors import ArgumentError, HalfseenError
 from halfseen.world import AssumedGrasping, GraspingByRobot, Robot, Scene, TableWorld, Team, WorldConfig, read_team
 from halfseen.world.config import check_number
 from halfseen.world.state import initial_state, pad_scenes
+from refusals import refused, refused_type
 
 TABLE = Scene(np.zeros((4, 4)), places_m=np.array([[-0.3, 0.0], [0.0, 0.0], [0.05, 0.0], [0.3, 0.0]]))
 TEAM = (Robot((-0.6, 0.0), 0.62, name="left"), Robot((0.6, 0.0), 0.62, name="right"))
@@ -100,9 +100,8 @@ def test_a_parameter_is_looked_at_where_it_is_no_array():
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(make, told):
-    with pytest.raises((ArgumentError, SceneError, TypeCheckError), match=f"{told}|Type-check error") as caught:
+    with refused_type(told, HalfseenError):
         make()
-    assert isinstance(caught.value, TypeCheckError) or "\n" not in str(caught.value)
 
 
 TOML = """
@@ -172,9 +171,8 @@ def test_a_robot_may_name_a_law_of_its_own(tmp_path):
     ],
 )
 def test_what_no_team_has_is_told_in_one_line(tmp_path, text, told):
-    with pytest.raises(ArgumentError, match=told) as caught:
+    with refused(told, ArgumentError) as caught:
         read(tmp_path, text)
-    assert "\n" not in str(caught.value)
     assert str(tmp_path / "robots.toml") in str(caught.value)
 
 

@@ -177,12 +177,6 @@ def test_a_share_of_random_decisions_lies_between_0_and_1(share):
         ExploringPolicy(Suspicious(), share)
 
 
-def test_one_key_folds_in_as_many_numbers_as_there_are():
-    numbers = np.arange(40_000)
-    found = random.fold_in(random.key_of(3), numbers)
-    np.testing.assert_array_equal(found[[0, 30_000]], [random.fold_in(random.key_of(3), k) for k in (0, 30_000)])
-
-
 SHARES = (1 / 6, 1 / 3, 1 / 2)
 
 

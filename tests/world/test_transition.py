@@ -23,7 +23,7 @@ from halfseen.world import (
 from halfseen.world.actions import possible_actions
 from halfseen.world.state import HiddenState, attempt_counts, occlusion, pad_scenes
 from halfseen.world.transition import start, step
-from picked import assert_same, leaves_of, picked
+from picked import assert_same, picked
 from world.world_cases import TEAMS, recorded_scenes, world_of
 
 CONFIG = WorldConfig()
@@ -214,11 +214,6 @@ def test_a_rollout_draws_what_was_recorded(name):
         np.testing.assert_allclose(getattr(played, field)[is_taken], expected, rtol=2e-5, atol=3e-5)
 
 
-def _equal(one, other):
-    for pair in zip(leaves_of(one), leaves_of(other), strict=True):
-        np.testing.assert_array_equal(*pair)
-
-
 @pytest.mark.parametrize("team", TEAMS)
 def test_one_table_goes_as_it_does_in_a_batch(team):
     config, tables = _world(f"{team}/assumed/uniform")
@@ -228,9 +223,9 @@ def test_one_table_goes_as_it_does_in_a_batch(team):
     after = step(config, state, hidden, action, keys)
     for k, key in enumerate(keys):
         one = start(config, picked(tables, k), key)
-        _equal(one, picked((state, hidden), k))
+        assert_same(one, picked((state, hidden), k))
         assert UniformPolicy().decide(one[0], key).action == action[k]
-        _equal(step(config, *one, action[k], key), picked(after, k))
+        assert_same(step(config, *one, action[k], key), picked(after, k))
 
 
 @pytest.mark.slow

@@ -14,8 +14,9 @@ from typing import Any, Protocol, runtime_checkable
 import mujoco
 import numpy as np
 
-from halfseen.cell.gripper import ROBOT, require_finite, require_positive
+from halfseen.cell.gripper import ROBOT, add_servo, require_finite, require_positive
 from halfseen.errors import SceneError
+from halfseen.scene.poses import Pose, compose
 from halfseen.shapes import Float
 
 LEAST_JOINTS = 5  # with fewer, an arm cannot orient its hand
@@ -192,28 +193,18 @@ class Arm:
         """Build the arm alone: bodies ``link_i``, ``joint_i`` with a position servo each, and a site ``flange``."""
         spec = mujoco.MjSpec()
         spec.compiler.degree = False
-        base = spec.worldbody.add_body(name="base")
-        height_m, radius_m = self.joints[0].d_m, self.base_radius_m
-        _add_capsule(base, (0, 0, radius_m), (0, 0, 0.55 * height_m), radius_m, self.base_mass_kg)
-        body, place = base, _turned(np.zeros(3), _IDENTITY, self.joints[0].zero_rad)
-        for index, joint in enumerate(self.joints):
-            body = body.add_body(name=f"link_{index + 1}", pos=list(place[0]), quat=list(place[1]))
+        body, radius_m = spec.worldbody.add_body(name="base"), self.base_radius_m
+        _add_capsule(body, (0, 0, radius_m), (0, 0, 0.55 * self.joints[0].d_m), radius_m, self.base_mass_kg)
+        frames = [Pose((0.0, 0.0, 0.0)), *map(_next_frame, self.joints)]
+        ends_m = [_end_m(frame, after.begin_m) for frame, after in zip(frames[1:], self.joints[1:], strict=False)]
+        for index, (joint, end_m) in enumerate(zip(self.joints, [*ends_m, (0, 0, self.flange_m)], strict=True)):
+            half_rad = 0.5 * joint.zero_rad
+            turn = compose((cos(half_rad), 0.0, 0.0, sin(half_rad)), frames[index].quaternion)
+            body = body.add_body(name=f"link_{index + 1}", pos=list(frames[index].position_m), quat=list(turn))
             body.gravcomp = 1.0
             self._add_joint(spec, body, index)
-            end = _next_frame(joint)
-            if index + 1 < self.num_joints:
-                after = self.joints[index + 1]
-                _add_capsule(
-                    body,
-                    (0.0, 0.0, joint.begin_m),
-                    _carried(end, (0.0, 0.0, after.begin_m)),
-                    joint.radius_m,
-                    joint.mass_kg,
-                )
-                place = _turned(*end, after.zero_rad)
-            else:
-                _add_capsule(body, (0, 0, joint.begin_m), (0, 0, self.flange_m), joint.radius_m, joint.mass_kg)
-                body.add_site(name="flange", pos=[0, 0, self.flange_m], quat=list(end[1]))
+            _add_capsule(body, (0, 0, joint.begin_m), end_m, joint.radius_m, joint.mass_kg)
+        body.add_site(name="flange", pos=[0, 0, self.flange_m], quat=list(frames[-1].quaternion))
         return spec
 
     def _add_joint(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, index: int) -> None:
@@ -223,33 +214,22 @@ class Arm:
         )
         if joint.limits_rad is not None:
             hinge.limited, hinge.range = True, list(joint.limits_rad)
-        servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         carried_kgm2 = joint.motor.armature_kgm2 + 0.1 * sum(each.mass_kg for each in self.joints[index:])
         stiffness = joint.motor.stiffness_nm
-        servo.set_to_position(kp=stiffness, kv=2.0 * (stiffness * carried_kgm2) ** 0.5)
+        add_servo(spec, name, stiffness, 2.0 * (stiffness * carried_kgm2) ** 0.5)
 
 
-_IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
+def _next_frame(joint: Joint) -> Pose:
+    """Frame i relative to frame i − 1 after the joint's rotation."""
+    half_rad = 0.5 * joint.alpha_rad
+    return Pose((joint.a_m, 0.0, joint.d_m), (cos(half_rad), sin(half_rad), 0.0, 0.0))
 
 
-def _next_frame(joint: Joint) -> tuple[np.ndarray, np.ndarray]:
-    """Frame i relative to frame i − 1 after the joint's rotation: position [m] and quaternion."""
-    half = 0.5 * joint.alpha_rad
-    return np.array([joint.a_m, 0.0, joint.d_m]), np.array([cos(half), sin(half), 0.0, 0.0])
-
-
-def _turned(position_m: np.ndarray, quaternion: np.ndarray, angle_rad: float) -> tuple[np.ndarray, np.ndarray]:
-    """Rotate a frame about its z axis."""
-    about_z, turned = np.array([cos(0.5 * angle_rad), 0.0, 0.0, sin(0.5 * angle_rad)]), np.zeros(4)
-    mujoco.mju_mulQuat(turned, quaternion, about_z)
-    return position_m, turned
-
-
-def _carried(frame: tuple[np.ndarray, np.ndarray], point_m: tuple[float, float, float]) -> np.ndarray:
-    """Transform a point out of a frame."""
+def _end_m(frame: Pose, begin_m: float) -> Float[np.ndarray, " 3"]:
+    """End of a link: where the next one begins, along the axis of the next frame [m]."""
     turned = np.zeros(3)
-    mujoco.mju_rotVecQuat(turned, np.array(point_m, dtype=np.float64), frame[1])
-    return frame[0] + turned
+    mujoco.mju_rotVecQuat(turned, np.array([0.0, 0.0, begin_m]), np.array(frame.quaternion))
+    return frame.position_m + turned
 
 
 def _add_capsule(body: mujoco.MjsBody, begin_m: Any, end_m: Any, radius_m: float, mass_kg: float) -> None:

@@ -18,9 +18,10 @@ import mujoco
 import numpy as np
 
 from halfseen.cell.chain import Chain, find_chain
-from halfseen.cell.gripper import ROBOT
+from halfseen.cell.gripper import ROBOT, add_servo
 from halfseen.errors import SceneError
 from halfseen.scene.poses import Pose, from_matrix
+from halfseen.scene.view import add_mesh, mesh_of
 from halfseen.shapes import Float
 
 _ARMATURE_KGM2 = 0.2  # minimum: a light wrist must hold a cup
@@ -167,9 +168,8 @@ class ArmFile:
         hinge = body.add_joint(name=name, axis=model.jnt_axis[number], pos=model.jnt_pos[number])
         hinge.armature, hinge.ref = self._armature_kgm2[index], model.qpos0[model.jnt_qposadr[number]]
         hinge.limited, hinge.range = bool(model.jnt_limited[number]), model.jnt_range[number]
-        servo, carried_kgm2 = spec.add_actuator(name=name, target=name), self._carried_kgm2[index]
-        servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
-        servo.set_to_position(kp=carried_kgm2 * _RATE_PER_S**2, kv=2.0 * carried_kgm2 * _RATE_PER_S)
+        carried_kgm2 = self._carried_kgm2[index]
+        add_servo(spec, name, carried_kgm2 * _RATE_PER_S**2, 2.0 * carried_kgm2 * _RATE_PER_S)
 
     def _add_shapes(self, spec: mujoco.MjSpec, body: mujoco.MjsBody, number: int) -> None:
         model = self._model
@@ -214,12 +214,7 @@ def _is_solid(model: mujoco.MjModel, geom: int) -> bool:
     """Whether a shape can collide; a flat mesh, such as a label, has no convex hull."""
     if model.geom_type[geom] not in _MESHES:
         return model.geom_type[geom] in _SOLID
-    # A compiled mesh lies along its principal axes.
-    return bool((np.ptp(_vertices_m(model, int(model.geom_dataid[geom])), axis=0) > _FLAT_M).all())
-
-
-def _vertices_m(model: mujoco.MjModel, mesh: int) -> Float[np.ndarray, "vertices 3"]:
-    return model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
+    return bool((np.ptp(mesh_of(model, int(model.geom_dataid[geom]))[0], axis=0) > _FLAT_M).all())
 
 
 def _add_mesh(spec: mujoco.MjSpec, model: mujoco.MjModel, geom: int) -> str:
@@ -227,9 +222,6 @@ def _add_mesh(spec: mujoco.MjSpec, model: mujoco.MjModel, geom: int) -> str:
     number = int(model.geom_dataid[geom])
     name = f"mesh_{number}"
     if spec.mesh(name) is None:
-        faces = model.mesh_face[model.mesh_faceadr[number] :][: model.mesh_facenum[number]]
-        mesh = spec.add_mesh(
-            name=name, uservert=_vertices_m(model, number).ravel().tolist(), userface=faces.ravel().tolist()
-        )
+        mesh = add_mesh(spec, name, *mesh_of(model, number))
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
     return name

@@ -13,18 +13,19 @@ import numpy as np
 from scipy.ndimage import minimum_filter
 from scipy.spatial.transform import Rotation
 
-from halfseen.arrays import Image
+from halfseen.arrays import Image, Transform
 from halfseen.cell.live_cell import LiveCell
 from halfseen.perception.clouds import Cloud, Picture
 from halfseen.perception.view import View, perceive
 from halfseen.scene.cups import Surface
-from halfseen.scene.moving import Facets, Sight, mesh_facets, with_facets, with_rays
+from halfseen.scene.moving import Facets, mesh_facets, with_facets, with_rays
+from halfseen.scene.poses import rigid
 from halfseen.scene.rays import CUP_GROUP, FURNITURE_GROUP, ROBOT_GROUP
 from halfseen.scene.record import colours
 from halfseen.scene.table import TABLE_TOP_M, Camera
-from halfseen.scene.view import IdealView, ideal_view
+from halfseen.scene.view import IdealView, Sight, ideal_view
 from halfseen.scene.xtion import XTION, sense
-from halfseen.shapes import Bool, Float, Int
+from halfseen.shapes import Bool, Int
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,7 @@ class CellCamera:
 
     def __init__(self, cell: LiveCell, camera: Camera, surfaces: Sequence[Surface] | None = None) -> None:
         self.cell, self.camera, self.surfaces = cell, camera, surfaces
+        self._sight = Sight(cell.data, camera, XTION.baseline_m)
 
     def look(self, rng: np.random.Generator) -> Look:
         """Look at the current cell; `rng` draws the sensor's noise."""
@@ -73,15 +75,13 @@ class CellCamera:
 
     def view(self) -> IdealView:
         """Render the current cell without noise."""
-        sight = Sight(self.cell.model, self.cell.data, self.camera, XTION.baseline_m)
-        no_cups = with_rays(self._empty, sight, (FURNITURE_GROUP,), (ROBOT_GROUP,))
-        return with_facets(no_cups, sight, (FURNITURE_GROUP, ROBOT_GROUP), self._cups, CUP_GROUP)
+        no_cups = with_rays(self._empty, self._sight, (FURNITURE_GROUP,), (ROBOT_GROUP,))
+        return with_facets(no_cups, self._sight, (FURNITURE_GROUP, ROBOT_GROUP), self._cups, CUP_GROUP)
 
     @cached_property
     def _empty(self) -> IdealView:
         """The view of the static geometry."""
-        cell = self.cell
-        return ideal_view(cell.model, self.camera, XTION.baseline_m, cell.data, (FURNITURE_GROUP,))
+        return ideal_view(self._sight, (FURNITURE_GROUP,))
 
     @cached_property
     def _cups(self) -> Facets:
@@ -148,9 +148,8 @@ class PoseErrors:
     position_m: float = 0.004
     angle_rad: float = float(np.deg2rad(0.5))
 
-    def draw(self, rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
+    def draw(self, rng: np.random.Generator) -> Transform:
         """Draw a pose error: a small rigid motion of the world about the middle of the table."""
-        error, pivot_m = np.eye(4), np.array([0.0, 0.0, TABLE_TOP_M])
-        error[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, self.angle_rad, 3)).as_matrix()
-        error[:3, 3] = pivot_m - error[:3, :3] @ pivot_m + rng.normal(0.0, self.position_m, 3)
-        return error
+        pivot_m, turn = np.array([0.0, 0.0, TABLE_TOP_M]), Rotation.from_rotvec(rng.normal(0.0, self.angle_rad, 3))
+        rotation = turn.as_matrix()
+        return rigid(rotation, pivot_m - rotation @ pivot_m + rng.normal(0.0, self.position_m, 3))

@@ -16,7 +16,7 @@ import mujoco
 
 from halfseen.cell.arm import LEAST_JOINTS
 from halfseen.errors import SceneError
-from halfseen.scene.poses import Pose
+from halfseen.scene.poses import Pose, pose_of
 
 FLANGE_WORDS = frozenset({"attachment", "flange", "tool", "tool0", "ee", "eef", "hand", "gripper", "wristsite"})
 """Words in names that mark the flange, separated by characters other than letters and digits."""
@@ -121,9 +121,8 @@ def _tells(name: str) -> bool:
 
 
 def _at_site(model: mujoco.MjModel, site: int) -> Flange:
-    x_m, y_m, z_m = map(float, model.site_pos[site])
-    w, x, y, z = map(float, model.site_quat[site])
-    return Flange(int(model.site_bodyid[site]), Pose((x_m, y_m, z_m), (w, x, y, z)), is_of_hand=False)
+    pose = pose_of(model.site_pos[site], model.site_quat[site])
+    return Flange(int(model.site_bodyid[site]), pose, is_of_hand=False)
 
 
 def _trunk(model: mujoco.MjModel, begin: int) -> list[int]:

@@ -59,7 +59,6 @@ class _Worker:
 
     activity: Activity[Any] | None = None
     way: Iterator[Angles] = field(default_factory=lambda: iter(()))
-    end: Angles | None = None
     ticks: int = 0
     answer: Any = None
     request: _Request | None = None
@@ -129,15 +128,11 @@ class Executor:
 
     def _tick(self, arm: int) -> ActivityEnd | None:
         """Command an arm's servos for the next tick; return its result if its activity has ended."""
-        worker, robot = self._workers[arm], self._robots[arm]
+        worker = self._workers[arm]
         while worker.activity is not None:
             if (angles := next(worker.way, None)) is not None:
-                self._cell.steer(robot, angles)
                 self._reservations.advance(arm, angles)
                 return None
-            if worker.end is not None:
-                self._cell.steer(robot, worker.end)
-                worker.end = None
             if worker.ticks > 0:
                 worker.ticks -= 1
                 return None
@@ -157,11 +152,10 @@ class Executor:
         robot, cell = self._robots[arm], self._cell
         match command:
             case Move():
-                worker.way, worker.end = iter(cell.commanded_rad(robot, command)), command.way[-1]
-            case Grip():
-                cell.close(robot, command.opening_m)
-                worker.ticks = round(command.seconds / cell.tick_s)
-            case Rest():
+                worker.way = cell.moved(robot, command)
+            case Grip() | Rest():
+                if isinstance(command, Grip):
+                    cell.close(robot, command.opening_m)
                 worker.ticks = round(command.seconds / cell.tick_s)
             case Reserve():
                 self._reservations.stand(arm)

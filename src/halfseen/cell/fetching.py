@@ -1,6 +1,7 @@
 """Activities of an arm: fetch an object, turn it in front of the camera, put it back or into the rack."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,13 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from halfseen.arrays import Points
 from halfseen.cell.grasps import UP, Grasp
-from halfseen.cell.kinematics import Angles, Kinematics, Way, line
+from halfseen.cell.kinematics import Angles, Kinematics, Way, in_metres, line
 from halfseen.cell.live_cell import Activity, Grip, LiveCell, Move, Reserve, Rest
 from halfseen.cell.model import MountedArm
 from halfseen.cell.planning import FetchPlan, beginnings
 from halfseen.errors import PlanError
 from halfseen.perception.clouds import Vector
-from halfseen.scene.poses import Pose, from_matrix
+from halfseen.scene.poses import Pose, from_matrix, pose_of, rigid
 from halfseen.shapes import Bool, Float
 
 
@@ -137,9 +138,7 @@ def turned(
 def _facing(
     kinematics: Kinematics, plan: FetchPlan, turn_rad: float, here: Angles, rng: np.random.Generator
 ) -> Angles | None:
-    hand = np.eye(4)
-    hand[:3, :3] = Rotation.from_rotvec(turn_rad * UP).as_matrix() @ plan.held.rotation
-    hand[:3, 3] = SHOWN_AT_M
+    hand = rigid(Rotation.from_rotvec(turn_rad * UP).as_matrix() @ plan.held.rotation, SHOWN_AT_M)
     return kinematics.solve_from(from_matrix(hand), beginnings(kinematics, here, rng), here)
 
 
@@ -206,26 +205,20 @@ def _ways(
     found = []
     for turn_rad in 2 * np.pi * np.arange(_NUM_TURNS) / _NUM_TURNS:
         about = Rotation.from_rotvec(turn_rad * UP).as_matrix()
-        hand = np.eye(4)
-        hand[:3, :3] = about @ plan.held.rotation
         # The object stood on the table. It stands in the rack when the hand has the same height over the rack's floor.
-        hand[:3, 3] = slot_m - (about @ beside_m) * [1.0, 1.0, 0.0] + (above_table_m + _DROP_M) * UP
-        way = _down(kinematics, from_matrix(hand), begins)
+        hand_m = slot_m - (about @ beside_m) * [1.0, 1.0, 0.0] + (above_table_m + _DROP_M) * UP
+        way = _down(kinematics, from_matrix(rigid(about @ plan.held.rotation, hand_m)), begins)
         if way is not None:
             found.append(way)
     if not found:
-        x_m, y_m, z_m = slot_m
-        raise PlanError(f"the rack's slot at ({x_m:.3f}, {y_m:.3f}, {z_m:.3f}) m is out of reach with this grasp")
+        raise PlanError(f"the rack's slot at {in_metres(slot_m)} is out of reach with this grasp")
     return min(found, key=lambda way: float(np.abs(way[0] - begins[0]).max()))
 
 
 def _down(kinematics: Kinematics, standing: Pose, begins: list[Angles]) -> tuple[Angles, Way] | None:
-    x_m, y_m, z_m = standing.position_m
-    above = Pose((x_m, y_m, z_m + _ABOVE_M), standing.quaternion)
+    above = pose_of(np.add(standing.position_m, [0.0, 0.0, _ABOVE_M]), standing.quaternion)
     over = kinematics.solve_from(above, begins, begins[0])
-    if over is None:
-        return None
-    try:
-        return over, line(kinematics, over, above, np.array(standing.position_m))
-    except PlanError:
-        return None
+    if over is not None:
+        with suppress(PlanError):
+            return over, line(kinematics, over, above, np.array(standing.position_m))
+    return None

@@ -4,7 +4,9 @@
 # pyright: reportAttributeAccessIssue=false
 
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import cos, sin
 from pathlib import Path
 
@@ -13,7 +15,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from halfseen.cell.live_cell import LiveCell
-from halfseen.cell.model import cell_spec
+from halfseen.cell.model import cell_model
 from halfseen.cell.workcell import Workcell
 from halfseen.perception.clouds import Picture
 from halfseen.scene.cups import Stain, Surface
@@ -86,7 +88,9 @@ class Film:
         write_file(file, content.getvalue())
 
     def _drawn(self, cell: Workcell) -> list[Picture]:
-        model = _painted(cell)
+        robots, racks = [each.robot for each in cell.stations], [each.rack for each in cell.stations]
+        paint = partial(_paint, cell.surfaces or ())
+        model = cell_model(cell.table.cups, cell.table.world_from_cup, robots, racks, paint=paint)
         data, shot = mujoco.MjData(model), self.shot
         # Show furniture, but not the invisible walls by which cups are held.
         shown, camera = mujoco.MjvOption(), mujoco.MjvCamera()
@@ -103,22 +107,19 @@ class Film:
         return pictures
 
 
-def _painted(cell: Workcell) -> mujoco.MjModel:
-    """The cell's model in colour: glazes, stains and spots, a wooden table, light from above."""
-    robots, racks = [each.robot for each in cell.stations], [each.rack for each in cell.stations]
-    spec = cell_spec(cell.table.cups, cell.table.world_from_cup, robots, racks)
+def _paint(surfaces: Sequence[Surface], spec: mujoco.MjSpec) -> None:
+    """Give a cell its colours: glazes, stains and spots, a wooden table, light from above."""
     spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
     spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.25] * 3
     spec.worldbody.add_light(pos=[0.6, -0.9, 2.4], dir=[-0.25, 0.45, -1.0], castshadow=True, diffuse=[0.55] * 3)
     for geom in spec.worldbody.geoms:
         geom.rgba = list(_WOOD if 0.6 < geom.pos[2] < 0.75 else _FLOOR)
-    for index, surface in enumerate(cell.surfaces or ()):
+    for index, surface in enumerate(surfaces):
         body = spec.body(cup_name(index))
         for geom in body.geoms:
             geom.rgba = [*(channel / 255 for channel in surface.glaze), 1.0]
         for stain in (*surface.stains, *surface.spots):
             _add_disc(body, surface, stain)
-    return spec.compile()
 
 
 def _add_disc(body: mujoco.MjsBody, surface: Surface, stain: Stain) -> None:

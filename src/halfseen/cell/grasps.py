@@ -13,7 +13,7 @@ from itertools import product
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from halfseen.arrays import Image, Intrinsics, Points
+from halfseen.arrays import Image, Intrinsics, Points, Transform
 from halfseen.cell.gripper import Gripper
 from halfseen.perception.clouds import Vector
 from halfseen.perception.objects import LOWEST_OBJECT_M, Labels
@@ -76,21 +76,29 @@ class Grasp:
         return (table_m - self.middle_m) @ self.axes
 
 
-Grasping = Callable[[SeenObject, Points, Gripper], list[Grasp]]
+Grasping = Callable[[SeenObject, Points, Gripper], Iterable[Grasp]]
 """Generates grasp candidates from an object, its visible points in table coordinates [m], and the gripper."""
 
 
-def completed(seen: SeenObject, points_m: Points, gripper: Gripper) -> list[Grasp]:
+def completed(seen: SeenObject, points_m: Points, gripper: Gripper) -> Iterator[Grasp]:
     """Grasps of the completed shape, or of the visible points if the object is not a vessel."""
     if not isinstance(seen.solid, Vessel):
         return visible(seen, points_m, gripper)
-    make = _of_standing if seen.solid.is_upright else _of_lying
-    return list(make(seen.solid, gripper))
+    return (_of_standing if seen.solid.is_upright else _of_lying)(seen.solid, gripper)
 
 
-def visible(seen: SeenObject, points_m: Points, gripper: Gripper) -> list[Grasp]:
-    """Grasps of the box around the visible points, ignoring hidden parts."""
-    return list(_of_points(points_m, gripper))
+def visible(seen: SeenObject, points_m: Points, gripper: Gripper) -> Iterator[Grasp]:
+    """Grasps from above, with several closing directions, of the box around all visible points but outliers."""
+    top_m = float(np.percentile(points_m[:, 2], 99)) - _AROUND_DEPTH_M
+    for angle, tilt in product(np.pi * np.arange(_NUM_BOX) / _NUM_BOX, _TILTS_RAD):
+        closing, beside = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([-np.sin(angle), np.cos(angle), 0.0])
+        low_m, high_m = np.percentile(points_m @ np.stack([closing, beside], axis=1), [2, 98], axis=0)
+        opening_m = float(high_m[0] - low_m[0]) + 2 * CLEARANCE_M
+        if opening_m > gripper.stroke_m:
+            continue
+        middle_m = np.stack([closing, beside, UP], axis=1) @ [*(low_m + high_m) / 2, top_m]
+        axes = hand_axes(_turned(-UP, closing, tilt), closing)
+        yield _above_table(Grasp("box", middle_m, axes, opening_m, 0.1 + 0.08 * abs(tilt)), gripper)
 
 
 GRASPING: dict[str, Grasping] = {"completed": completed, "visible-only": visible}
@@ -136,20 +144,6 @@ def _of_lying(vessel: Vessel, gripper: Gripper) -> Iterator[Grasp]:
         raised = _above_table(grasp, gripper)
         if raised.middle_m[2] - centre_m[2] < 0.45 * radius_m:
             yield raised
-
-
-def _of_points(points_m: Points, gripper: Gripper) -> Iterator[Grasp]:
-    """Grasps from above, with several closing directions, of the box around all points but outliers."""
-    top_m = float(np.percentile(points_m[:, 2], 99)) - _AROUND_DEPTH_M
-    for angle, tilt in product(np.pi * np.arange(_NUM_BOX) / _NUM_BOX, _TILTS_RAD):
-        closing, beside = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([-np.sin(angle), np.cos(angle), 0.0])
-        low_m, high_m = np.percentile(points_m @ np.stack([closing, beside], axis=1), [2, 98], axis=0)
-        opening_m = float(high_m[0] - low_m[0]) + 2 * CLEARANCE_M
-        if opening_m > gripper.stroke_m:
-            continue
-        middle_m = np.stack([closing, beside, UP], axis=1) @ [*(low_m + high_m) / 2, top_m]
-        axes = hand_axes(_turned(-UP, closing, tilt), closing)
-        yield _above_table(Grasp("box", middle_m, axes, opening_m, 0.1 + 0.08 * abs(tilt)), gripper)
 
 
 def _above_table(grasp: Grasp, gripper: Gripper) -> Grasp:
@@ -211,7 +205,7 @@ class Surroundings:
     labels: Labels
     depth_m: Image
     intrinsics: Intrinsics
-    camera_from_table: Float[np.ndarray, "4 4"]
+    camera_from_table: Transform
 
     def hidden(self, points_m: Points) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
         """Masks of points that are hidden (behind a surface or without return), and hidden by the object itself."""

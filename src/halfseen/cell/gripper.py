@@ -9,7 +9,7 @@ could not reach into a hull, so robots collide with separate boxes that form the
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
 from math import pi
@@ -42,6 +42,13 @@ def require_finite(what: str, part: object, names: Iterable[str]) -> None:
     for name in names:
         if not np.isfinite(getattr(part, name)):
             raise SceneError(f"{what}: {name} is {getattr(part, name)}; give a finite number")
+
+
+def add_servo(spec: mujoco.MjSpec, joint: str, stiffness: float, damping: float) -> mujoco.MjsActuator:
+    """Add the position servo of a joint, of the same name [N·m/rad or N/m, and per rate]."""
+    servo = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    servo.set_to_position(kp=stiffness, kv=damping)
+    return servo
 
 
 FURNITURE, WALLS, OBSTACLES, FIRST_ROBOT = 1, 2, 4, 8
@@ -159,8 +166,7 @@ class Gripper:
         """Build the gripper alone: bodies ``hand``, ``finger_left`` and ``finger_right``, and a servo per finger."""
         spec = mujoco.MjSpec()
         hand = spec.worldbody.add_body(name="hand", gravcomp=1.0)
-        half = [0.5 * size for size in self.palm_m]
-        hand.add_geom(name="palm", type=_BOX, size=half, pos=[0, 0, half[2]], mass=0.5, rgba=list(_DARK), **ROBOT)
+        _add_box(hand, "palm", self.palm_m, (0.0, 0.0, 0.5 * self.palm_m[2]), mass=0.5, rgba=list(_DARK))
         hand.add_site(name="tcp", pos=[0, 0, self.tcp_m])
         for side, sign in _SIDES.items():
             self._add_finger(spec, hand, side, sign, contacts)
@@ -181,29 +187,24 @@ class Gripper:
             damping=[20, 0, 0],
         )
         metal_m = self.finger_thickness_m - self.pad_thickness_m
-        finger.add_geom(
-            name=f"bar_{side}",
-            type=_BOX,
-            size=[0.5 * self.finger_width_m, 0.5 * metal_m, 0.5 * self.finger_m],
-            pos=[0, sign * (self.pad_thickness_m + 0.5 * metal_m), self.tip_m - 0.5 * self.finger_m],
-            mass=0.05,
-            rgba=list(_GREY),
-            **ROBOT,
+        bar_m, pad_m = (
+            (self.finger_width_m, metal_m, self.finger_m),
+            (self.pad_width_m, self.pad_thickness_m, self.pad_length_m),
         )
-        finger.add_geom(
-            name=f"pad_{side}",
-            type=_BOX,
-            size=[0.5 * self.pad_width_m, 0.5 * self.pad_thickness_m, 0.5 * self.pad_length_m],
-            pos=[0, sign * 0.5 * self.pad_thickness_m, self.tcp_m],
-            mass=0.02,
-            rgba=list(_BLACK),
-            priority=1,
-            **contacts.of_pad(),
-            **ROBOT,
-        )
-        servo = spec.add_actuator(name=slide, target=slide, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-        servo.set_to_position(kp=2500.0, kv=60.0)
+        bar_at_m = (0.0, sign * (self.pad_thickness_m + 0.5 * metal_m), self.tip_m - 0.5 * self.finger_m)
+        pad_at_m, touch = (0.0, sign * 0.5 * self.pad_thickness_m, self.tcp_m), contacts.of_pad()
+        _add_box(finger, f"bar_{side}", bar_m, bar_at_m, mass=0.05, rgba=list(_GREY))
+        _add_box(finger, f"pad_{side}", pad_m, pad_at_m, mass=0.02, rgba=list(_BLACK), priority=1, **touch)
+        servo = add_servo(spec, slide, stiffness=2500.0, damping=60.0)
         servo.forcelimited, servo.forcerange = True, [-self.force_n, self.force_n]
+
+
+def _add_box(
+    body: mujoco.MjsBody, name: str, size_m: Sequence[float], middle_m: Sequence[float], **settings: Any
+) -> None:
+    """Add a part of the robot by its full size."""
+    half_m = [0.5 * size for size in size_m]
+    body.add_geom(name=name, type=_BOX, size=half_m, pos=list(middle_m), **settings, **ROBOT)
 
 
 _SIDES = {"left": 1, "right": -1}  # sign of each finger's opening direction along the closing axis
@@ -221,14 +222,8 @@ def add_walls(body: mujoco.MjsBody, cup: Cup, contacts: Contacts, friction: floa
     friction
         Sliding friction on pads [-]; None for the value of `contacts`.
     """
-    shared: dict[str, Any] = {
-        "mass": 0,
-        "contype": WALLS,
-        "conaffinity": 0,
-        "group": UNSEEN_GROUP,
-        "priority": 2,
-        **contacts.of_pad(friction),
-    }
+    shared = {"mass": 0, "contype": WALLS, "conaffinity": 0, "group": UNSEEN_GROUP, "priority": 2}
+    shared |= contacts.of_pad(friction)
     for angle_rad in 2 * pi * (np.arange(NUM_WALLS) + 0.5) / NUM_WALLS:
         _add_wall(body, cup, angle_rad, shared)
     body.add_geom(

@@ -20,7 +20,7 @@ import numpy as np
 
 from halfseen.cell.model import MountedArm
 from halfseen.errors import PlanError
-from halfseen.scene.poses import Pose
+from halfseen.scene.poses import Pose, pose_of
 from halfseen.shapes import Bool, Float
 
 Angles = Float[np.ndarray, " J"]
@@ -29,6 +29,11 @@ NEAR_M, NEAR_RAD = 5e-4, 2e-3  # tolerance of a pose
 _LEVER_M = 0.3  # weight of a rotation error relative to a position error
 _DAMPING = 0.03
 _LARGEST_STEP_RAD = 0.4
+
+
+def in_metres(point_m: Iterable[float]) -> str:
+    """Write a point to the millimetre [m]."""
+    return f"({', '.join(f'{value:.3f}' for value in point_m)}) m"
 
 
 class Kinematics:
@@ -43,6 +48,8 @@ class Kinematics:
 
     Attributes
     ----------
+    data, tcp
+        State of the cell in which the robot was last placed, and the point between its pads there.
     limits_rad
         Lower and upper limit of each joint [rad]; infinite for an endless joint.
     search_rad
@@ -50,8 +57,8 @@ class Kinematics:
     """
 
     def __init__(self, model: mujoco.MjModel, robot: MountedArm) -> None:
-        self._model, self._data = model, mujoco.MjData(model)
-        self._tcp = model.site(robot.of("gripper/tcp")).id
+        self._model, self.data = model, mujoco.MjData(model)
+        self.tcp = self.data.site(robot.of("gripper/tcp"))
         joints = [model.joint(name) for name in robot.joint_names]
         self._places = np.array([joint.qposadr[0] for joint in joints])
         self._columns = np.array([joint.dofadr[0] for joint in joints])
@@ -59,7 +66,7 @@ class Kinematics:
         self.limits_rad: Float[np.ndarray, "J 2"] = np.array(limits, dtype=np.float64)
         self.search_rad: Float[np.ndarray, "J 2"] = robot.arm.search_rad
         self._jacobian = np.zeros((2, 3, model.nv))
-        self._bodies = [body for body in range(model.nbody) if model.body(body).name.startswith(robot.of(""))]
+        self._bodies = robot.bodies(model)
 
     @property
     def is_endless(self) -> np.ndarray:
@@ -68,12 +75,10 @@ class Kinematics:
 
     def hand(self, angles_rad: Angles) -> Pose:
         """Pose of the point between the pads in the world."""
-        self._place(angles_rad)
-        site, quaternion = self._data.site(self._tcp), np.zeros(4)
-        mujoco.mju_mat2Quat(quaternion, site.xmat)
-        x_m, y_m, z_m = map(float, site.xpos)
-        w, x, y, z = map(float, quaternion)
-        return Pose((x_m, y_m, z_m), (w, x, y, z))
+        self.place(angles_rad)
+        quaternion = np.zeros(4)
+        mujoco.mju_mat2Quat(quaternion, self.tcp.xmat)
+        return pose_of(self.tcp.xpos, quaternion)
 
     def solve(self, target: Pose, begin_rad: Angles, num_steps: int = 60) -> Angles | None:
         """Solve for joint angles that bring the hand to a pose.
@@ -120,39 +125,36 @@ class Kinematics:
             The robot would touch furniture; the message states the position of its hand.
         """
         for angles in way:
-            self._place(angles)
-            mujoco.mj_collision(self._model, self._data)
-            bodies = self._model.geom_bodyid[self._data.contact.geom]
+            self.place(angles)
+            mujoco.mj_collision(self._model, self.data)
+            bodies = self._model.geom_bodyid[self.data.contact.geom]
             if np.any((bodies == 0).any(axis=1) & np.isin(bodies, self._bodies).any(axis=1)):
-                x_m, y_m, z_m = self._data.site(self._tcp).xpos
-                raise PlanError(
-                    f"the arm would touch furniture with its hand at ({x_m:.3f}, {y_m:.3f}, {z_m:.3f}) m; "
-                    "approach from another side"
-                )
+                place = in_metres(self.tcp.xpos)
+                raise PlanError(f"the arm would touch furniture with its hand at {place}; approach from another side")
 
     def nearest_turn(self, angles_rad: Angles, near_rad: Angles) -> Angles:
         """Shift endless joints by whole turns to within half a turn of `near_rad`."""
         apart = (angles_rad - near_rad + pi) % (2 * pi) - pi
         return np.where(self.is_endless, near_rad + apart, angles_rad)
 
-    def _place(self, angles_rad: Angles) -> None:
-        self._data.qpos[self._places] = angles_rad
-        mujoco.mj_kinematics(self._model, self._data)
+    def place(self, angles_rad: Angles) -> None:
+        """Put the robot's joints at angles [rad]."""
+        self.data.qpos[self._places] = angles_rad
+        mujoco.mj_kinematics(self._model, self.data)
 
     def _error(self, target: Pose, angles_rad: Angles) -> tuple[np.ndarray, np.ndarray]:
         """Error from the hand to the target: position [m] and rotation vector [rad]."""
-        self._place(angles_rad)
-        site = self._data.site(self._tcp)
+        self.place(angles_rad)
         now, apart, turn = np.zeros(4), np.zeros(4), np.zeros(3)
-        mujoco.mju_mat2Quat(now, site.xmat)
+        mujoco.mju_mat2Quat(now, self.tcp.xmat)
         mujoco.mju_negQuat(now, now)
         mujoco.mju_mulQuat(apart, np.asarray(target.quaternion, dtype=np.float64), now)
         mujoco.mju_quat2Vel(turn, apart, 1.0)
-        return np.asarray(target.position_m) - site.xpos, turn
+        return np.asarray(target.position_m) - self.tcp.xpos, turn
 
     def _step(self, angles_rad: Angles, apart_m: np.ndarray, apart_rad: np.ndarray) -> Angles:
-        mujoco.mj_comPos(self._model, self._data)
-        mujoco.mj_jacSite(self._model, self._data, *self._jacobian, self._tcp)
+        mujoco.mj_comPos(self._model, self.data)
+        mujoco.mj_jacSite(self._model, self.data, *self._jacobian, self.tcp.id)
         moves, turns = self._jacobian[:, :, self._columns]
         jacobian, error = np.concatenate([moves, _LEVER_M * turns]), np.concatenate([apart_m, _LEVER_M * apart_rad])
         step = _damped(jacobian, error)
@@ -201,13 +203,13 @@ def line(kinematics: Kinematics, begin_rad: Angles, begin: Pose, end_m: Float[np
     num_steps = max(1, int(np.ceil(np.linalg.norm(end_m - here_m) / STEP_M)))
     way, angles = [], begin_rad
     for step in range(1, num_steps + 1):
-        x_m, y_m, z_m = (float(value) for value in here_m + (end_m - here_m) * step / num_steps)
-        found = kinematics.solve(Pose((x_m, y_m, z_m), begin.quaternion), angles, num_steps=40)
+        next_m = here_m + (end_m - here_m) * step / num_steps
+        found = kinematics.solve(pose_of(next_m, begin.quaternion), angles, num_steps=40)
         if found is None or np.abs(found - angles).max() > _LARGEST_TURN_RAD:
             trouble = "is out of reach" if found is None else "would need the arm to flip over"
             raise PlanError(
-                f"the line to ({end_m[0]:.3f}, {end_m[1]:.3f}, {end_m[2]:.3f}) m breaks off at ({x_m:.3f}, "
-                f"{y_m:.3f}, {z_m:.3f}) m, which {trouble}; approach from another side"
+                f"the line to {in_metres(end_m)} breaks off at {in_metres(next_m)}, which {trouble}; approach from "
+                "another side"
             )
         way.append(found)
         angles = found

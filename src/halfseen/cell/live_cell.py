@@ -17,7 +17,7 @@ import numpy as np
 
 from halfseen.cell.kinematics import Angles, Kinematics, Way, schedule
 from halfseen.cell.model import MountedArm
-from halfseen.scene.poses import Pose
+from halfseen.scene.poses import Pose, pose_of
 from halfseen.scene.view import cup_name
 from halfseen.shapes import Float
 
@@ -124,9 +124,7 @@ class LiveCell:
     def cup(self, index: int) -> Pose:
         """Pose of a cup in the world."""
         body = self.data.body(cup_name(index))
-        x_m, y_m, z_m = map(float, body.xpos)
-        w, x, y, z = map(float, body.xquat / np.linalg.norm(body.xquat))
-        return Pose((x_m, y_m, z_m), (w, x, y, z))
+        return pose_of(body.xpos, body.xquat / np.linalg.norm(body.xquat))
 
     def wait(self, seconds: float) -> None:
         """Advance the physics."""
@@ -152,21 +150,22 @@ class LiveCell:
         """Execute one robot's command while all others stand still."""
         match command:
             case Move():
-                for angles in self.commanded_rad(robot, command):
-                    self.steer(robot, angles)
+                for _ in self.moved(robot, command):
                     self.wait(self.tick_s)
-                self.steer(robot, command.way[-1])
             case Grip():
                 self.close(robot, command.opening_m)
                 self.wait(command.seconds)
             case Rest():
                 self.wait(command.seconds)
 
-    def commanded_rad(self, robot: MountedArm, move: Move) -> Float[np.ndarray, "ticks J"]:
-        """Servo angles for each tick along a path, from the current set points [rad]."""
+    def moved(self, robot: MountedArm, move: Move) -> Iterator[Angles]:
+        """Steer a robot along a path from its current set points, and yield its servos' angles at each tick [rad]."""
         begin = np.array([self.data.actuator(name).ctrl[0] for name in robot.joint_names])
         plan = schedule(begin, move.way, move.speed * robot.arm.speeds_rad_s)
-        return plan.at(self.tick_s * np.arange(1, np.ceil(plan.duration_s / self.tick_s) + 1))
+        for angles in plan.at(self.tick_s * np.arange(1, np.ceil(plan.duration_s / self.tick_s) + 1)):
+            self.steer(robot, angles)
+            yield angles
+        self.steer(robot, move.way[-1])
 
     def steer(self, robot: MountedArm, angles_rad: Angles) -> None:
         """Set the target angles of a robot's servos [rad]."""

@@ -9,14 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from halfseen.arrays import Hides, Points
+from halfseen.arrays import Hides, Points, Transform
 from halfseen.cell.facts import Facts, facts_of
 from halfseen.cell.grasps import Grasp
 from halfseen.perception.clouds import Vector
 from halfseen.perception.occlusion import NEAREST_M, projected
 from halfseen.perception.tracking import matched
 from halfseen.perception.view import SeenObject, View
-from halfseen.shapes import Float
 
 SAME_DEPTH_M = 0.015
 """Depths that differ by less count as equal [m]: depths have errors, and cups stand within millimetres."""
@@ -71,11 +70,19 @@ class Trial(NamedTuple):
     arm: int = 0
 
 
+class Sighting(NamedTuple):
+    """An object as a look showed it, the view from that look, and the transform of its table to the world."""
+
+    seen: SeenObject
+    view: View
+    world_from_table: Transform
+
+
 @dataclass(eq=False)
 class KnownObject:
     """A known object.
 
-    `middle_m` [m], `facts` and `surface_m`, points in the world [m], are from its last sighting. `seen` is its
+    `middle_m` [m], `facts` and `surface_m`, points in the world [m], are from its last `sighting`. `seen` is its
     appearance in the last view, None if that does not show it. `is_lost` is set if a look found it vanished: it fell,
     or was never a separate object; it can reappear only at the same place. `glances` are labels from looks that showed
     more than any before, and `trials` are attempts, oldest first. `failed` are failed grasps, in table coordinates.
@@ -85,6 +92,7 @@ class KnownObject:
     seen: SeenObject | None
     facts: Facts
     surface_m: Points = field(default_factory=lambda: np.zeros((0, 3)))
+    sighting: Sighting | None = None
     is_racked: bool = False
     is_lost: bool = False
     glances: list[Glance] = field(default_factory=list)
@@ -102,6 +110,7 @@ class KnownObject:
         self.seen = None if now is None else now.seen
         if now is not None:
             self.middle_m, self.facts, self.surface_m = now.middle_m, now.facts, now.surface_m
+            self.sighting = now.sighting
 
     def label(self, occlusion: float, says_dirty: bool, *, is_held: bool) -> None:
         """Keep the label of a look if it showed more than any before; otherwise the label would repeat evidence.
@@ -132,13 +141,11 @@ class Memory:
 
     def __init__(self) -> None:
         self.objects: list[KnownObject] = []
-        self.world_from_table: Float[np.ndarray, "4 4"] = np.eye(4)
+        self.world_from_table: Transform = np.eye(4)
         self.hides: Hides = np.zeros((0, 0))
         self.doubts: tuple[str, ...] = ()
 
-    def update(
-        self, view: View, world_from_table: Float[np.ndarray, "4 4"], in_hand: Sequence[KnownObject] = ()
-    ) -> None:
+    def update(self, view: View, world_from_table: Transform, in_hand: Sequence[KnownObject] = ()) -> None:
         """Update from a view: match known objects, mark vanished ones as lost, and add new ones.
 
         Parameters
@@ -202,14 +209,14 @@ class Memory:
         return numbers[0] if numbers else None
 
 
-def _objects_of(
-    view: View, world_from_table: Float[np.ndarray, "4 4"], world_from_camera: Float[np.ndarray, "4 4"]
-) -> list[KnownObject]:
+def _objects_of(view: View, world_from_table: Transform, world_from_camera: Transform) -> list[KnownObject]:
     """The objects of a view as new known objects."""
     points_m, turned, moved_m = view.image.points_m.reshape(-1, 3), world_from_camera[:3, :3], world_from_camera[:3, 3]
     middles_m = [(world_from_table @ [*seen.solid.middle_m, 1.0])[:3] for seen in view.objects]
     surfaces_m = [points_m[seen.pixels] @ turned.T + moved_m for seen in view.objects]
-    return [KnownObject(*each) for each in zip(middles_m, view.objects, facts_of(view), surfaces_m, strict=True)]
+    sightings = [Sighting(seen, view, world_from_table) for seen in view.objects]
+    known = zip(middles_m, view.objects, facts_of(view), surfaces_m, sightings, strict=True)
+    return [KnownObject(*each) for each in known]
 
 
 def _middles_m(objects: list[KnownObject]) -> Points:

@@ -3,7 +3,7 @@
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import cos, inf, pi, sin
 from typing import Any, NamedTuple
@@ -66,6 +66,10 @@ class MountedArm:
         """Name of a part in the model."""
         return f"{self.name}/{part}"
 
+    def bodies(self, model: mujoco.MjModel) -> list[int]:
+        """Numbers of its bodies in the model of a cell."""
+        return [body for body in range(model.nbody) if model.body(body).name.startswith(self.of(""))]
+
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the arm's joints and of their servos, from the base on."""
@@ -122,40 +126,22 @@ def cell_model(
     racks: Sequence[Rack] = (Rack(),),
     contacts: Contacts = Contacts(),  # noqa: B008 - frozen
     frictions: Sequence[float] | None = None,
+    paint: Callable[[mujoco.MjSpec], None] = lambda _: None,
 ) -> mujoco.MjModel:
     """Compile the cell.
 
     Parameters
     ----------
-    cups, world_from_cup, robots, racks, contacts, frictions
-        As for `cell_spec`.
-
-    Raises
-    ------
-    SceneError
-        As for `cell_spec`.
-    """
-    return cell_spec(cups, world_from_cup, robots, racks, contacts, frictions).compile()
-
-
-def cell_spec(
-    cups: Sequence[Cup],
-    world_from_cup: Sequence[Pose],
-    robots: Sequence[MountedArm] = (MountedArm(),),
-    racks: Sequence[Rack] = (Rack(),),
-    contacts: Contacts = Contacts(),  # noqa: B008 - frozen
-    frictions: Sequence[float] | None = None,
-) -> mujoco.MjSpec:
-    """Build the cell without compiling it, so that more can be added.
-
-    Parameters
-    ----------
+    cups, world_from_cup
+        The cups, and the pose of each.
     robots
         The robots; none for a room that is only viewed.
     racks
         The racks for washed cups.
     frictions
         Friction of each cup on the pads [-]; None for that of `contacts`.
+    paint
+        Changes the looks before the model is compiled.
 
     Raises
     ------
@@ -176,7 +162,8 @@ def cell_spec(
         _add_robot(spec, robot, contacts)
     if len(robots) > 1:
         _let_robots_meet(spec, robots)
-    return spec
+    paint(spec)
+    return spec.compile()
 
 
 def _let_robots_meet(spec: mujoco.MjSpec, robots: Sequence[MountedArm]) -> None:

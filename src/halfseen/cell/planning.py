@@ -6,19 +6,20 @@ highest elbows are tried, and the one with the most places over the table within
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
 from math import cos, pi, sin
 
-import mujoco
 import numpy as np
 
+from halfseen.arrays import Transform
 from halfseen.cell.arm import SerialArm
 from halfseen.cell.grasps import Grasp
-from halfseen.cell.kinematics import Angles, Kinematics, Way, line
+from halfseen.cell.kinematics import Angles, Kinematics, Way, in_metres, line
 from halfseen.cell.model import MountedArm, cell_model
 from halfseen.errors import PlanError
-from halfseen.scene.poses import Pose, from_matrix
+from halfseen.scene.poses import Pose, from_matrix, pose_of, rigid
 from halfseen.scene.table import TABLE_TOP_M
 from halfseen.shapes import Float
 
@@ -71,7 +72,7 @@ class FetchPlan:
 
 def plans(
     grasps: Iterable[Grasp],
-    world_from_table: Float[np.ndarray, "4 4"],
+    world_from_table: Transform,
     kinematics: Kinematics,
     begin_rad: Angles,
     rng: np.random.Generator,
@@ -124,16 +125,11 @@ def _is_alike(grasp: Grasp, other: Grasp) -> bool:
 
 
 def _planned(
-    grasp: Grasp,
-    world_from_table: Float[np.ndarray, "4 4"],
-    kinematics: Kinematics,
-    begin_rad: Angles,
-    rng: np.random.Generator,
+    grasp: Grasp, world_from_table: Transform, kinematics: Kinematics, begin_rad: Angles, rng: np.random.Generator
 ) -> FetchPlan:
     back_m = grasp.middle_m - APPROACH_M * grasp.approach
     before, angles = _first(_poses(grasp, back_m, world_from_table), kinematics, begin_rad, rng)
-    x_m, y_m, z_m = (world_from_table @ [*grasp.middle_m, 1.0])[:3].tolist()
-    held = Pose((x_m, y_m, z_m), before.quaternion)
+    held = pose_of((world_from_table @ [*grasp.middle_m, 1.0])[:3], before.quaternion)
     approach = line(kinematics, angles, before, np.array(held.position_m))
     lift = line(kinematics, approach[-1], held, np.add(held.position_m, [0.0, 0.0, LIFT_M]))
     hover = np.concatenate([_above(kinematics, angles, before), angles[None]])
@@ -144,21 +140,15 @@ def _planned(
 
 def _above(kinematics: Kinematics, angles: Angles, before: Pose) -> Way:
     """Path down from above to the start of the approach; empty if that is out of reach."""
-    try:
+    with suppress(PlanError):
         return line(kinematics, angles, before, np.add(before.position_m, [0.0, 0.0, HOVER_M]))[::-1]
-    except PlanError:
-        return np.empty((0, len(angles)))
+    return np.empty((0, len(angles)))
 
 
-def _poses(grasp: Grasp, middle_m: Float[np.ndarray, " 3"], world_from_table: Float[np.ndarray, "4 4"]) -> list[Pose]:
+def _poses(grasp: Grasp, middle_m: Float[np.ndarray, " 3"], world_from_table: Transform) -> list[Pose]:
     """Two equivalent hand poses: that of the grasp, and one turned by 180° about the approach."""
-    hand = np.eye(4)
-    hand[:3, 3] = middle_m
-    poses = []
-    for sign in (1.0, -1.0):
-        hand[:3, :3] = grasp.axes * [sign, sign, 1.0]
-        poses.append(from_matrix(world_from_table @ hand))
-    return poses
+    hands = (rigid(grasp.axes * [sign, sign, 1.0], middle_m) for sign in (1.0, -1.0))
+    return [from_matrix(world_from_table @ hand) for hand in hands]
 
 
 def beginnings(kinematics: Kinematics, here_rad: Angles, rng: np.random.Generator) -> list[Angles]:
@@ -175,13 +165,8 @@ def _first(
     found = [(pose, kinematics.solve_from(pose, begins, begin_rad)) for pose in poses]
     reached = [(pose, angles) for pose, angles in found if angles is not None]
     if not reached:
-        x_m, y_m, z_m = poses[0].position_m
-        raise PlanError(f"({x_m:.3f}, {y_m:.3f}, {z_m:.3f}) m is out of reach at the tilt that the grasp needs")
+        raise PlanError(f"{in_metres(poses[0].position_m)} is out of reach at the tilt that the grasp needs")
     return min(reached, key=lambda pair: float(np.abs(pair[1] - begin_rad).max()))
-
-
-# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
-# pyright: reportAttributeAccessIssue=false
 
 
 HOME_M = (-0.40, 0.58, 0.98)  # where the hand waits, pointing down
@@ -242,8 +227,7 @@ def home_rad(robot: MountedArm) -> tuple[Angles | None, int]:
     tuple
         Joint angles [rad], None if the home pose is out of reach; and how many of `PLACES_M` they reach.
     """
-    model = cell_model([], [], (robot,))
-    kinematics, shown = Kinematics(model, robot), mujoco.MjData(model)
+    kinematics = Kinematics(cell_model([], [], (robot,)), robot)
     begins = np.random.default_rng(0).uniform(*kinematics.search_rad.T, size=(_NUM_BEGUN, robot.arm.num_joints))
     found = []
     for number, begin in enumerate(begins):
@@ -251,7 +235,7 @@ def home_rad(robot: MountedArm) -> tuple[Angles | None, int]:
         if angles is not None:
             found.append(kinematics.nearest_turn(angles, np.zeros(len(angles))))
     free = [angles for angles in found if _is_free(kinematics, angles[None])]
-    ranked = sorted(free, key=lambda angles: (_is_cornered(kinematics, angles), -_height_m(shown, robot, angles)))
+    ranked = sorted(free, key=lambda angles: (_is_cornered(kinematics, angles), -_height_m(kinematics, robot, angles)))
     counted = [(angles, sum(_comes(kinematics, angles, place) for place in PLACES_M)) for angles in ranked[:_NUM_KEPT]]
     return max(counted, key=lambda pair: pair[1], default=(None, 0))
 
@@ -268,21 +252,18 @@ def _comes(kinematics: Kinematics, home: Angles, place_m: tuple[float, float, fl
         there = kinematics.solve(above, home)
         if there is None:
             continue
-        try:
+        with suppress(PlanError):
             down = line(kinematics, there, above, np.subtract(place_m, (0.0, 0.0, _DOWN_M)))
             kinematics.refuse_furniture([*np.linspace(home, there, _NUM_LOOKED_AT), *down])
-        except PlanError:
-            continue
-        return True
+            return True
     return False
 
 
 def _is_free(kinematics: Kinematics, way: np.ndarray) -> bool:
-    try:
+    with suppress(PlanError):
         kinematics.refuse_furniture(way)
-    except PlanError:
-        return False
-    return True
+        return True
+    return False
 
 
 def _is_cornered(kinematics: Kinematics, angles: Angles) -> bool:
@@ -290,12 +271,10 @@ def _is_cornered(kinematics: Kinematics, angles: Angles) -> bool:
     return bool((np.abs(angles[:, None] - kinematics.limits_rad) < _CORNER_RAD).any())
 
 
-def _height_m(shown: mujoco.MjData, robot: MountedArm, angles: Angles) -> float:
+def _height_m(kinematics: Kinematics, robot: MountedArm, angles: Angles) -> float:
     """Mean height of the arm's joints above the floor [m]."""
-    for name, angle in zip(robot.joint_names, angles, strict=True):
-        shown.joint(name).qpos = angle
-    mujoco.mj_kinematics(shown.model, shown)
-    return float(np.mean([shown.joint(name).xanchor[2] for name in robot.joint_names]))
+    kinematics.place(angles)
+    return float(np.mean([kinematics.data.joint(name).xanchor[2] for name in robot.joint_names]))
 
 
 def _too_far(robot: MountedArm) -> str:
@@ -303,16 +282,9 @@ def _too_far(robot: MountedArm) -> str:
     drawn = rng.uniform(*kinematics.search_rad.T, size=(_NUM_REACHED, robot.arm.num_joints))
     base_m = np.array(robot.base_m)
     reach_m = max(float(np.linalg.norm(kinematics.hand(angles).position_m - base_m)) for angles in drawn)
-    away_m = {
-        what: float(np.linalg.norm(np.array(place_m) - base_m))
-        for what, place_m in (
-            ("where it waits", HOME_M),
-            ("over the middle of the table", PLACES_M[len(PLACES_M) // 2]),
-        )
-    }
+    home_m, over_m = (float(np.linalg.norm(place - base_m)) for place in (HOME_M, PLACES_M[len(PLACES_M) // 2]))
     return (
         f"arm {robot.arm.name!r}: its hand reaches {reach_m:.2f} m from the base, but must point down, clear of "
-        "furniture, at "
-        + " and ".join(f"{distance_m:.2f} m from it {what}" for what, distance_m in away_m.items())
-        + "; move the base, turn it, or use a longer arm"
+        f"furniture, at {home_m:.2f} m from it where it waits and {over_m:.2f} m from it over the middle of the table; "
+        "move the base, turn it, or use a longer arm"
     )

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from halfseen.arrays import Points
-from halfseen.cell.kinematics import Angles, Way
+from halfseen.cell.kinematics import Angles, Kinematics, Way
 from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.model import MountedArm
 from halfseen.shapes import Bool, Float
@@ -68,13 +68,10 @@ class Outline:
     """Computes the space of one arm."""
 
     def __init__(self, model: mujoco.MjModel, robot: MountedArm) -> None:
-        self._model, self._data = model, mujoco.MjData(model)
-        self._joints = np.array([model.joint(name).qposadr[0] for name in robot.joint_names])
+        self._kinematics = Kinematics(model, robot)
         for name in robot.slide_names:
-            self._data.joint(name).qpos = 0.5 * robot.gripper.stroke_m
-        self._tcp = model.site(robot.of("gripper/tcp")).id
-        bodies = [body for body in range(model.nbody) if model.body(body).name.startswith(robot.of(""))]
-        geoms = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] in bodies]
+            self._kinematics.data.joint(name).qpos = 0.5 * robot.gripper.stroke_m
+        geoms = np.flatnonzero(np.isin(model.geom_bodyid, robot.bodies(model))).tolist()
         parts = [_spheres_m(model, geom) for geom in geoms]
         self._geom = np.repeat(geoms, [len(part) for part in parts])
         self._local_m = np.concatenate(parts)
@@ -94,13 +91,12 @@ class Outline:
         if below_m > 0:
             depths_m = np.linspace(0.0, max(below_m - 0.5 * _HELD_M, 0.0), 1 + int(np.ceil(below_m / _SPACING_M)))
             held_m = np.stack([0.0 * depths_m, 0.0 * depths_m, -depths_m], axis=1)
-        middles_m = np.empty((len(places), len(self._geom) + len(held_m), 3))
+        middles_m, data = np.empty((len(places), len(self._geom) + len(held_m), 3)), self._kinematics.data
         for row, angles in zip(middles_m, places, strict=True):
-            self._data.qpos[self._joints] = angles
-            mujoco.mj_kinematics(self._model, self._data)
-            turned = self._data.geom_xmat[self._geom].reshape(-1, 3, 3)
-            row[: len(self._geom)] = np.einsum("nij,nj->ni", turned, self._local_m) + self._data.geom_xpos[self._geom]
-            row[len(self._geom) :] = self._data.site(self._tcp).xpos + held_m
+            self._kinematics.place(angles)
+            turned = data.geom_xmat[self._geom].reshape(-1, 3, 3)
+            row[: len(self._geom)] = np.einsum("nij,nj->ni", turned, self._local_m) + data.geom_xpos[self._geom]
+            row[len(self._geom) :] = self._kinematics.tcp.xpos + held_m
         is_held = np.arange(middles_m.shape[1]) >= len(self._geom)
         return Space(places, middles_m, is_held)
 
@@ -117,15 +113,11 @@ def _places(begin_rad: Angles, way: Way) -> Float[np.ndarray, "places J"]:
 
 def _spheres_m(model: mujoco.MjModel, geom: int) -> Points:
     """Centres of the spheres that cover a part, in its own frame [m]."""
-    kind, size = model.geom_type[geom], model.geom_size[geom]
-    half_m = {
-        int(_KINDS.mjGEOM_CAPSULE): [0.0, 0.0, size[1]],
-        int(_KINDS.mjGEOM_CYLINDER): [0.0, 0.0, size[1]],
-        int(_KINDS.mjGEOM_BOX): size,
-        int(_KINDS.mjGEOM_SPHERE): [0.0, 0.0, 0.0],
-    }.get(int(kind))
-    if half_m is None:
-        half_m = model.geom_aabb[geom, 3:]
+    kind, size, half_m = _KINDS(int(model.geom_type[geom])), model.geom_size[geom], model.geom_aabb[geom, 3:]
+    if kind in (_KINDS.mjGEOM_CAPSULE, _KINDS.mjGEOM_CYLINDER):
+        half_m = [0.0, 0.0, size[1]]
+    elif kind == _KINDS.mjGEOM_SPHERE:
+        half_m = [0.0, 0.0, 0.0]
     lines = [_line(float(half)) for half in half_m]
     return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, 3)
 
@@ -206,9 +198,7 @@ class Touches:
         self._arm_of_body = np.full(model.nbody, _FREE)
         self._fingers: list[tuple[int, int]] = []
         for number, robot in enumerate(robots):
-            for body in range(model.nbody):
-                if model.body(body).name.startswith(robot.of("")):
-                    self._arm_of_body[body] = number
+            self._arm_of_body[robot.bodies(model)] = number
             left, right = (model.body(robot.of(f"gripper/finger_{side}")).id for side in ("left", "right"))
             self._fingers.append((left, right))
         self._touching: frozenset[tuple[int, int]] = frozenset()

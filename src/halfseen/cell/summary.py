@@ -139,7 +139,4 @@ def scenes_of(logs: Logs) -> list[Scene]:
 
 
 def _added(each: Iterable[Mapping[str, int]]) -> dict[str, int]:
-    total: Counter[str] = Counter()
-    for counts in each:
-        total.update(counts)
-    return dict(total.most_common())
+    return dict(sum(map(Counter, each), Counter()).most_common())

@@ -11,17 +11,16 @@ from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from itertools import islice
-from typing import NamedTuple
 
 import numpy as np
 
-from halfseen.arrays import Image
+from halfseen.arrays import Image, Transform
 from halfseen.cell import fetching
 from halfseen.cell.camera import CellCamera, PoseErrors, perceived_whole
 from halfseen.cell.fetching import GaveWayError, ObservedAttempt
 from halfseen.cell.grasps import GRASPING, ranked, surroundings
 from halfseen.cell.live_cell import Activity, Guard, LiveCell, Reserve, Stops
-from halfseen.cell.memory import KnownObject, Memory, Trial
+from halfseen.cell.memory import KnownObject, Memory, Sighting, Trial
 from halfseen.cell.model import MountedArm, Rack, Station, cell_model
 from halfseen.cell.planning import FetchPlan, OutOfReachError, plans
 from halfseen.errors import PlanError, SceneError
@@ -32,18 +31,10 @@ from halfseen.perception.view import SeenObject, View
 from halfseen.scene.cups import Surface
 from halfseen.scene.poses import Pose, from_matrix
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table
-from halfseen.shapes import Bool, Float
+from halfseen.shapes import Bool
 
 SETTLE_S = 0.3
 MOST_TAKEN = 4  # plans blocked by another robot that are tried before waiting for the best of them
-
-
-class _Sight(NamedTuple):
-    """An object as a look showed it, and the view from that look."""
-
-    seen: SeenObject
-    view: View
-    world_from_table: Float[np.ndarray, "4 4"]
 
 
 class Workcell:
@@ -122,7 +113,6 @@ class Workcell:
         self._eye = CellCamera(self.cell, table.camera, surfaces=surfaces)
         self._believed: Pose = from_matrix(errors.draw(rng) @ table.camera.world_from_camera.matrix)
         self._used_slots: list[list[int]] = [[] for _ in robots]
-        self._sights: dict[int, _Sight] = {}
         self.cell.wait(SETTLE_S)
         self._guard = None if stops is None else Guard(stops, self.cell.time_s, rng)
         if self._guard is not None:
@@ -139,7 +129,7 @@ class Workcell:
         return self.stations[0].rack
 
     @property
-    def world_from_table(self) -> Float[np.ndarray, "4 4"]:
+    def world_from_table(self) -> Transform:
         """Transform of homogeneous points from the perceived table to the world that the robot assumes [m]."""
         assert self.view is not None, "look first"
         return self._believed.matrix @ self.view.cloud_from_table
@@ -244,9 +234,6 @@ class Workcell:
         in_hand = tuple(self.in_hand.values())
         self.view, self.cloud = perceived_whole(cloud, robots_m, is_held)
         self.memory.update(self.view, self.world_from_table, in_hand)
-        for number, known in enumerate(self.memory.objects):
-            if known.seen is not None:
-                self._sights[number] = _Sight(known.seen, self.view, self.world_from_table)
         if self.cloud.colours is not None:
             for seen, label in zip(self.view.objects, self._labeller(self.view, self.cloud), strict=True):
                 number = self.memory.number_of(seen.id)
@@ -328,7 +315,7 @@ class Workcell:
         begin_rad = self.cell.angles_rad(robot)
         return plans(grasps, sight.world_from_table, self.cell.kinematics[robot.name], begin_rad, self._rng)
 
-    def _sight(self, number: int) -> _Sight | None:
+    def _sight(self, number: int) -> Sighting | None:
         """The last sighting of an object; a single robot uses only sightings from the latest look."""
-        is_now = self.memory.objects[number].seen is not None
-        return self._sights.get(number) if is_now or len(self.stations) > 1 else None
+        known = self.memory.objects[number]
+        return known.sighting if known.seen is not None or len(self.stations) > 1 else None

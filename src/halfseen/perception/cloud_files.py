@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from halfseen.errors import CloudError
-from halfseen.perception.clouds import Cloud, Colours, Rotation, check_intrinsics, check_num_points
+from halfseen.perception.clouds import Cloud, Colours, check_intrinsics, check_num_points, is_rotation
 from halfseen.perception.frames import FRAME_COMMENT, OWN, Viewpoint, camera_of
 from halfseen.perception.pcd import read_pcd
 from halfseen.reading import CLOUD, names_in_archive, read_arrays, read_bytes, reason_of
@@ -110,7 +110,7 @@ def _camera(
     if len(element) != 1 or not {*EYE, *AXES} <= set(names):
         return None, OWN
     eye, axes = (np.array([element[0][name] for name in each], dtype=np.float64) for each in (EYE, AXES))
-    if not np.isfinite([*eye, *axes]).all() or not _is_rotation(axes.reshape(3, 3)):
+    if not np.isfinite([*eye, *axes]).all() or not is_rotation(axes.reshape(3, 3), SAME_AXES):
         raise CloudError(
             f"{path}: its camera is at {eye.tolist()} with axes {axes.tolist()}; give a position [m] and the rows of "
             "a rotation, or leave it out"
@@ -119,10 +119,6 @@ def _camera(
     grid = [int(element[0][name]) for name in VIEWPORT if name in names]
     is_grid = len(grid) == 2 and grid[0] > 1 and grid[0] * grid[1] == num_points
     return ((grid[0], grid[1]) if is_grid else None), Viewpoint(eye, left @ right)
-
-
-def _is_rotation(axes: Rotation) -> bool:
-    return bool(np.allclose(axes @ axes.T, np.eye(3), atol=SAME_AXES) and np.linalg.det(axes) > 0)
 
 
 def _check_counts(content: bytes, path: Path) -> None:

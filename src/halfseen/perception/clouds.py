@@ -135,7 +135,7 @@ class Cloud:
         points[~returned(points, eye)] = np.nan
         _check_metres(points - eye, self.name)
         axes = np.array(self.camera_axes, dtype=np.float64)
-        if axes.shape != (3, 3) or not np.allclose(axes.T @ axes, np.eye(3), atol=SAME_AXES) or np.linalg.det(axes) < 0:
+        if not is_rotation(axes, SAME_AXES):
             raise CloudError(
                 f"{self.name}: the camera's axes are {axes.tolist()}; they must be the columns of a rotation"
             )
@@ -186,6 +186,12 @@ class Cloud:
     def num_returns(self) -> int:
         """Number of rays that returned a point."""
         return int(np.isfinite(self.points_m[:, 2]).sum())
+
+
+def is_rotation(axes: Shaped[np.ndarray, "..."], tolerance: float) -> bool:
+    """Whether a matrix is that of a rotation."""
+    is_square = axes.shape == (3, 3)
+    return bool(is_square and np.allclose(axes.T @ axes, np.eye(3), atol=tolerance) and np.linalg.det(axes) > 0)
 
 
 def returned(points_m: Points, eye_m: Vector) -> RowMask:

@@ -8,7 +8,6 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from halfseen.arrays import Points
-from halfseen.perception.clouds import Vector
 from halfseen.perception.objects import HIGHEST_OBJECT_M, LEFT_OUT, NO_OBJECT, Labels, pixels_of
 from halfseen.perception.occlusion import covered, middle_depth_m
 from halfseen.perception.plane import Plane
@@ -23,7 +22,7 @@ from halfseen.perception.vessel_fits import (
     standing_vessels,
     thinned,
 )
-from halfseen.shapes import Float
+from halfseen.perception.walls import Sets
 
 # A fit with a larger mean cost is not a vessel: residuals of 8 mm everywhere.
 WORST_VESSEL_MISFIT = 3.2
@@ -43,8 +42,6 @@ DOUBTFUL_VESSEL_MISFIT = 2.0
 SURE_VESSEL_MISFIT = 1.5
 # Pieces farther apart than the walls of a wide cup are never merged [m].
 FARTHEST_PIECES_M = 0.12
-# Rounding tolerance of distances [m].
-SURE_M = 1e-9
 # Two pieces are walls of one vessel if the points of each lie this close to a common wall: mean robust cost.
 JOINT_MISFIT = 1.3
 # ... which is fitted only if half of one piece is this close to the wall of the other [m], to save time,
@@ -85,11 +82,6 @@ class _Piece:
     def thin_m(self) -> Points:
         """A subsample of its points."""
         return thinned(self.points_m)
-
-    @cached_property
-    def box_m(self) -> tuple[Vector, Vector]:
-        """Lowest and highest coordinates of the subsample."""
-        return self.thin_m.min(axis=0), self.thin_m.max(axis=0)
 
     @cached_property
     def solid(self) -> Vessel | Hull:
@@ -163,7 +155,7 @@ def _pieces(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[Labels, li
     return sheets, pieces
 
 
-def completed(sets: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Vessel | Hull]:
+def completed(sets: Sets) -> list[Vessel | Hull]:
     """Complete the shape of each object: the vessel that fits best, or the hull if none fits.
 
     Parameters
@@ -266,16 +258,8 @@ def _is_one(large: _Piece, small: _Piece, joint: _Piece, sheets: Labels, plane: 
 
 
 def _is_near(large: _Piece, small: _Piece) -> bool:
-    """Whether some points of two pieces are close together; their boxes, or one point, usually suffice to decide."""
-    one, other, (low, high), (other_low, other_high) = large.thin_m, small.thin_m, large.box_m, small.box_m
-    apart = np.maximum(low - other_high, other_low - high)
-    if np.linalg.norm(np.maximum(apart, 0.0)) > FARTHEST_PIECES_M + SURE_M:
-        return False
-    nearest = one[np.argmin(np.square(one - other.mean(axis=0)).sum(axis=1))]
-    if np.square(other - nearest).sum(axis=1).min() < (FARTHEST_PIECES_M - SURE_M) ** 2:
-        return True
-    gap, _ = KDTree(one).query(other)
-    return bool(gap.min() <= FARTHEST_PIECES_M)
+    """Whether some points of two pieces are close together."""
+    return bool(KDTree(large.thin_m).query(small.thin_m)[0].min() <= FARTHEST_PIECES_M)
 
 
 def _is_part(piece: _Piece, vessel: Vessel) -> bool:

@@ -11,22 +11,16 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 from skimage.measure import points_in_poly
 
-from halfseen.arrays import Hides, PerObject, Points, Rows
+from halfseen.arrays import Hides, PerObject, Points
 from halfseen.perception.objects import NO_OBJECT, Labels
 from halfseen.perception.plane import Plane
 from halfseen.perception.range_image import Pixels, RangeImage
 from halfseen.perception.solids import Hull, Vessel
 from halfseen.shapes import Bool, Float, Int
 
-# A row with a side this close to a pixel, or this close to a corner, is tested pixel by pixel [px].
-DOUBTFUL_PX = 1e-6
-
 
 def convex_pixels(corners_px: Float[np.ndarray, "v 2"], shape: tuple[int, int]) -> Int[np.ndarray, " px"]:
     """Flat indices of the pixels within a convex polygon, in increasing order.
-
-    The result equals scikit-image's ``polygon2mask``, which tests all pixels of the bounding box. Here each row is
-    filled from side to side, unless rounding matters.
 
     Parameters
     ----------
@@ -35,29 +29,11 @@ def convex_pixels(corners_px: Float[np.ndarray, "v 2"], shape: tuple[int, int]) 
     shape
         Rows and columns of the image [px].
     """
-    highest, lowest = corners_px[:, 1].min() - DOUBTFUL_PX, corners_px[:, 1].max() + DOUBTFUL_PX
-    row = np.arange(*np.clip([np.ceil(highest), np.floor(lowest) + 1], 0, shape[0]).astype(int))
-    left_px, right_px = _sides_px(corners_px, row)
-    first, last = np.maximum(np.ceil(left_px), 0).astype(int), np.minimum(np.floor(right_px), shape[1] - 1).astype(int)
-    is_doubtful = (np.abs(row[:, None] - corners_px[:, 1]) < DOUBTFUL_PX).any(axis=1)
-    for side_px in (left_px, right_px):
-        is_doubtful |= np.abs(side_px - np.round(side_px)) < DOUBTFUL_PX
-    num_px = np.where(is_doubtful, 0, np.maximum(last - first + 1, 0))
-    filled = np.repeat(row * shape[1] + first - (num_px.cumsum() - num_px), num_px) + np.arange(num_px.sum())
-    if not is_doubtful.any():
-        return filled
-    asked = (row[is_doubtful][:, None] * shape[1] + np.arange(shape[1])).ravel()
-    at_px = np.stack([asked % shape[1], asked // shape[1]], axis=1).astype(float)
-    return np.sort(np.concatenate([filled, asked[points_in_poly(at_px, corners_px)]]))
-
-
-def _sides_px(corners_px: Float[np.ndarray, "v 2"], row: Int[np.ndarray, " rows"]) -> tuple[Rows, Rows]:
-    """Columns at which each row enters and leaves the polygon, along its two chains from the top corner down."""
-    around = np.roll(corners_px, -int(corners_px[:, 1].argmin()), axis=0)
-    lowest, column, height = int(around[:, 1].argmax()), *np.concatenate([around, around[:1]]).T
-    one = np.interp(row, height[: lowest + 1], column[: lowest + 1])
-    other = np.interp(row, height[lowest:][::-1], column[lowest:][::-1])
-    return np.minimum(one, other), np.maximum(one, other)
+    ends_px = np.floor(corners_px.min(axis=0)), np.ceil(corners_px.max(axis=0)) + 1
+    (left, top), (right, bottom) = (np.clip(end, 0, shape[::-1]).astype(int) for end in ends_px)
+    row, column = np.mgrid[top:bottom, left:right].reshape(2, -1)
+    is_within = points_in_poly(np.stack([column, row], axis=1).astype(float), corners_px)
+    return (row * shape[1] + column)[is_within]
 
 
 # Points with a smaller depth are not projected [m].

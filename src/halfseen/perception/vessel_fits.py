@@ -3,7 +3,6 @@
 Cups may stand so close together that there is no depth step between them.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -21,6 +20,7 @@ from halfseen.perception.walls import (
     USUAL_SLOPE,
     WALL_NOISE_M,
     LyingWalls,
+    Sets,
     StandingWalls,
     Walls,
 )
@@ -42,7 +42,7 @@ INLIER_M = 0.008
 AT_BOUND = 1e-4
 
 
-def standing_vessels(sets: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Vessel]:
+def standing_vessels(sets: Sets) -> list[Vessel]:
     """Fit a standing vessel to each set of points.
 
     Parameters
@@ -70,7 +70,7 @@ def _standing(p: Free, misfit: float, middle_height: float, points_m: Points) ->
     return replace(vessel, ends_m=(-middle_height, _ends(vessel, points_m)[1]))
 
 
-def lying_vessels(sets: Sequence[Float[np.ndarray, "_ 3"]], num_on_handle: int = 0) -> list[Vessel]:
+def lying_vessels(sets: Sets, num_on_handle: int = 0) -> list[Vessel]:
     """Fit a lying vessel to each set of points.
 
     Parameters
@@ -276,7 +276,7 @@ def _two(points_m: Points) -> RowMask | None:
     return _distance_m(pair[0], points_m) < _distance_m(pair[1], points_m) if _are_two(*pair) else None
 
 
-def _fitted(sets: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Vessel]:
+def _fitted(sets: Sets) -> list[Vessel]:
     """Best-fitting vessel of each set, standing or lying."""
     return [
         min(pair, key=lambda vessel: vessel.misfit)

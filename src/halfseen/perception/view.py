@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import QhullError
 
-from halfseen.arrays import Hides, Points
+from halfseen.arrays import Hides, Points, Transform
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import XTION, Cloud, DepthSensor, NoisierSensor, Vector
 from halfseen.perception.grouping import objects_of_sheets
@@ -25,7 +25,7 @@ from halfseen.perception.plane import Plane, find_table, noise_factor
 from halfseen.perception.range_image import Pixels, RangeImage, range_image
 from halfseen.perception.solids import Hull, Vessel
 from halfseen.reading import reason_of
-from halfseen.shapes import Bool, Float
+from halfseen.shapes import Bool
 from halfseen.world.scene import Scene
 
 # Percentile of the points, from below and above, that bounds an object's extent [%]; it excludes outliers.
@@ -108,8 +108,8 @@ class View:
     labels: Labels
     silhouettes: Bool[np.ndarray, "N H W"]
     image: RangeImage
-    camera_from_table: Float[np.ndarray, "4 4"]
-    cloud_from_table: Float[np.ndarray, "4 4"]
+    camera_from_table: Transform
+    cloud_from_table: Transform
     num_cut: int
     name: str
 

@@ -28,6 +28,8 @@ STEEPEST_SLOPE = 1.5
 SMALLEST_M = 1e-12
 
 OfPoints = Float[np.ndarray, "k n"]
+Sets = Sequence[Float[np.ndarray, "_ 3"]]
+"""Points of each of several objects as (right, away, height) [m]."""
 
 
 def _bounds(num_free: int) -> Bounds:
@@ -71,7 +73,7 @@ class Walls:
         return replace(self, **{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
-def _padded(sets: Sequence[Float[np.ndarray, "_ 3"]], middles_m: Float[np.ndarray, "k 3"]) -> dict[str, OfPoints]:
+def _padded(sets: Sets, middles_m: Float[np.ndarray, "k 3"]) -> dict[str, OfPoints]:
     """Padded points relative to the middles, and their weights."""
     points_m = np.ones((4, len(sets), max(map(len, sets))))
     points_m[3] = 0.0
@@ -86,7 +88,7 @@ class StandingWalls(Walls):
     """Walls of standing vessels with their points."""
 
     @classmethod
-    def of(cls, sets: Sequence[Float[np.ndarray, "_ 3"]], middle_heights_m: Sequence[float]) -> "StandingWalls":
+    def of(cls, sets: Sets, middle_heights_m: Sequence[float]) -> "StandingWalls":
         """Batch sets of points.
 
         Parameters
@@ -133,11 +135,7 @@ class LyingWalls(Walls):
 
     @classmethod
     def of(
-        cls,
-        sets: Sequence[Float[np.ndarray, "_ 3"]],
-        middles_m: Sequence[Vector],
-        rest_spread_m: float | Rows,
-        tilt_spread_rad: float | Rows,
+        cls, sets: Sets, middles_m: Sequence[Vector], rest_spread_m: float | Rows, tilt_spread_rad: float | Rows
     ) -> "LyingWalls":
         """Batch sets of points.
 

@@ -36,22 +36,12 @@ __all__ = [
     "table_paths",
 ]
 
-__getattr__ = lazy_names(
-    __name__,
-    {
-        "Camera": "table",
-        "Capture": "record",
-        "Cup": "cups",
-        "Pose": "poses",
-        "Stain": "cups",
-        "Surface": "cups",
-        "Table": "table",
-        "Truth": "table",
-        "capture": "record",
-        "draw_surface": "cups",
-        "random_table": "draw",
-        "read_table": "shipped",
-        "read_truth": "shipped",
-        "table_paths": "shipped",
-    },
-)
+_NAMES = {
+    "cups": "Cup Stain Surface draw_surface",
+    "draw": "random_table",
+    "poses": "Pose",
+    "record": "Capture capture",
+    "shipped": "read_table read_truth table_paths",
+    "table": "Camera Table Truth",
+}
+__getattr__ = lazy_names(__name__, {name: module for module, names in _NAMES.items() for name in names.split()})

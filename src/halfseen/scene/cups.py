@@ -6,7 +6,7 @@ choice.
 """
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -63,8 +63,8 @@ class Cup:
         if self.wall_m >= min(self.rim_radius_m, self.base_radius_m) or self.bottom_m >= self.height_m:
             raise SceneError(f"cup: {self} has no hollow; make the wall and the bottom thinner")
 
-    def radius_at(self, z_m: float) -> float:
-        """Outer radius at a height above the underside [m]."""
+    def radius_at(self, z_m: Any) -> Any:
+        """Outer radius at a height above the underside, or at each of several [m]."""
         return self.base_radius_m + (self.rim_radius_m - self.base_radius_m) * z_m / self.height_m
 
 
@@ -92,8 +92,7 @@ def handle_bow(cup: Cup, num_points: int) -> tuple[Vertices, float]:
     radius_m = 0.16 * cup.handle_m
     bend = np.linspace(-np.pi / 2, np.pi / 2, num_points)
     z_m = 0.52 * cup.height_m + 0.28 * cup.height_m * np.sin(bend)
-    wall_x_m = cup.base_radius_m + (cup.rim_radius_m - cup.base_radius_m) * z_m / cup.height_m - cup.wall_m / 2
-    x_m = wall_x_m + (cup.handle_m - radius_m) * np.cos(bend)
+    x_m = cup.radius_at(z_m) - cup.wall_m / 2 + (cup.handle_m - radius_m) * np.cos(bend)
     return np.stack([x_m, np.zeros(num_points), z_m], axis=1), radius_m
 
 

@@ -7,15 +7,17 @@ In the clutter some cups stand behind others as seen by the camera; none is insi
 # pyright: reportAttributeAccessIssue=false
 
 from collections.abc import Sequence
+from itertools import combinations, product
 
 import mujoco
 import numpy as np
 
 from halfseen.errors import SceneError
 from halfseen.scene.cups import Cup, outline
-from halfseen.scene.poses import Pose, about_axis, compose
+from halfseen.scene.poses import Pose, Quaternion, about_axis, compose, pose_of
+from halfseen.scene.rays import at_rest
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table, Truth, look_at, truth_of
-from halfseen.scene.view import TIMESTEP_S, cup_name, is_whole_in_picture, lone_depths_m, room_model, table_view
+from halfseen.scene.view import TIMESTEP_S, cup_name, is_whole_in_picture, lone_depths_m, room_spec, table_view
 from halfseen.scene.xtion import XTION, loss_probability, xtion_at
 from halfseen.shapes import Float
 
@@ -62,7 +64,7 @@ def draw_layout(cups: Sequence[Cup], rng: np.random.Generator) -> tuple[Pose, ..
     return tuple(poses)
 
 
-def _draw_turn(rng: np.random.Generator) -> tuple[float, float, float, float]:
+def _draw_turn(rng: np.random.Generator) -> Quaternion:
     """Draw an orientation: standing or lying, with a uniform turn about the vertical and, if lying, about its axis."""
     about_vertical = about_axis((0.0, 0.0, 1.0), rng.uniform(0, 2 * np.pi))
     rolled = about_axis((0.0, 0.0, 1.0), rng.uniform(0, 2 * np.pi))
@@ -81,14 +83,12 @@ def _draw_place(poses: Sequence[Pose], rng: np.random.Generator) -> tuple[float,
     return x_m + rng.normal(0.0, 0.022), y_m + side * rng.uniform(0.075, 0.125)
 
 
-def _just_above_table(cup: Cup, place_m: tuple[float, float], quaternion: tuple[float, float, float, float]) -> Pose:
+def _just_above_table(cup: Cup, place_m: tuple[float, float], quaternion: Quaternion) -> Pose:
     """Pose with its lowest point a few millimetres above the table and its axis centred over a place."""
     turned = Pose((0.0, 0.0, 0.0), quaternion)
     lowest_m = float(turned.apply(outline(cup))[:, 2].min())
     middle_m = turned.apply(np.array([[0.0, 0.0, cup.height_m / 2]]))[0]
-    return Pose(
-        (place_m[0] - float(middle_m[0]), place_m[1] - float(middle_m[1]), TABLE_TOP_M + _DROP_M - lowest_m), quaternion
-    )
+    return pose_of([*(place_m - middle_m[:2]), TABLE_TOP_M + _DROP_M - lowest_m], quaternion)
 
 
 def _footprint(cup: Cup, pose: Pose) -> list[Disc]:
@@ -114,7 +114,7 @@ _PATIENCE_S = 4.0
 
 def settle(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> tuple[Pose, ...] | None:
     """Let the cups fall, and return their poses at rest; None if a cup still moves after 4 s."""
-    model = room_model(cups, world_from_cup, is_free=True)
+    model = room_spec(cups, world_from_cup, is_free=True).compile()
     data = mujoco.MjData(model)
     num_quiet = 0
     for _ in range(round(_PATIENCE_S / TIMESTEP_S)):
@@ -122,7 +122,7 @@ def settle(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> tuple[Pose, .
         num_quiet = num_quiet + 1 if np.max(np.abs(data.qvel)) < REST_SPEED else 0
         if num_quiet * TIMESTEP_S >= _QUIET_S:
             bodies = [data.body(cup_name(index)) for index in range(len(cups))]
-            return tuple(Pose(tuple(body.xpos.tolist()), tuple(body.xquat.tolist())).rounded() for body in bodies)
+            return tuple(pose_of(body.xpos, body.xquat).rounded() for body in bodies)
     return None
 
 
@@ -133,17 +133,12 @@ def smallest_gap_m(cups: Sequence[Cup], world_from_cup: Sequence[Pose], beyond_m
     """
     if beyond_m <= 0:
         raise SceneError(f"smallest gap: beyond_m is {beyond_m}; give a positive length")
-    model = room_model(cups, world_from_cup, is_free=False)
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    model = room_spec(cups, world_from_cup, is_free=False).compile()
+    data = at_rest(model)
     geoms = [np.flatnonzero(model.geom_bodyid == model.body(cup_name(index)).id) for index in range(len(cups))]
-    gap_m = beyond_m
-    for i in range(len(cups)):
-        for j in range(i):
-            for one in geoms[i]:
-                for other in geoms[j]:
-                    gap_m = min(gap_m, mujoco.mj_geomDistance(model, data, int(one), int(other), beyond_m, None))
-    return float(gap_m)
+    pairs = (pair for of_cups in combinations(geoms, 2) for pair in product(*of_cups))
+    gaps_m = (mujoco.mj_geomDistance(model, data, int(one), int(other), beyond_m, None) for one, other in pairs)
+    return float(min(gaps_m, default=beyond_m))
 
 
 NUM_CUPS = (5, 10)
@@ -215,7 +210,7 @@ def _draw_camera_pose(rng: np.random.Generator) -> Pose:
 
 def _is_kept(table: Table) -> bool:
     """Whether a proposal is accepted; the cheap checks come first."""
-    if not (_is_on_table(table.cups, table.world_from_cup) and is_whole_in_picture(table)):
+    if not (_is_on_table(table) and is_whole_in_picture(table)):
         return False
     if smallest_gap_m(table.cups, table.world_from_cup) < GAP_M:
         return False
@@ -223,18 +218,14 @@ def _is_kept(table: Table) -> bool:
     return bool(np.all(truth.occlusion <= MAX_OCCLUSION) and np.all(sure_returns_px(table, truth) >= MIN_RETURNS_PX))
 
 
-def _is_on_table(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> bool:
+def _is_on_table(table: Table) -> bool:
     """Whether every cup stands or lies on the table top: not beside it, not on another cup, not leaning."""
-    for cup, pose in zip(cups, world_from_cup, strict=True):
-        x_m, y_m, z_m = pose.apply(np.array([[0.0, 0.0, cup.height_m / 2]]))[0]
-        if abs(x_m) > TABLE_SIZE_M[0] / 2 - _EDGE_M or abs(y_m) > TABLE_SIZE_M[1] / 2 - _EDGE_M:
-            return False
-        upward = pose.rotation[2, 2]
-        is_standing = upward > 0.995 and abs(z_m - TABLE_TOP_M - cup.height_m / 2) < 0.003
-        is_lying = abs(upward) < 0.5 and z_m - TABLE_TOP_M < 1.1 * cup.rim_radius_m + cup.handle_m
-        if not (is_standing or is_lying):
-            return False
-    return True
+    half_m, middle_m = np.array(TABLE_SIZE_M) / 2, table.centroid_m
+    upward = np.array([pose.rotation[2, 2] for pose in table.world_from_cup])
+    reach_m, above_m = [1.1 * cup.rim_radius_m + cup.handle_m for cup in table.cups], middle_m[:, 2] - TABLE_TOP_M
+    is_standing = (upward > 0.995) & (np.abs(above_m - table.height_m / 2) < 0.003)
+    is_lying = (np.abs(upward) < 0.5) & (above_m < reach_m)
+    return bool((np.abs(middle_m[:, :2]) <= half_m - _EDGE_M).all() and (is_standing | is_lying).all())
 
 
 def sure_returns_px(table: Table, truth: Truth) -> np.ndarray:

@@ -14,7 +14,7 @@ from halfseen.arrays import Image
 from halfseen.scene.poses import Pose
 from halfseen.scene.rays import RowRays, first_met
 from halfseen.scene.table import Camera
-from halfseen.scene.view import LIT_TOLERANCE_M, IdealView, is_reached, pixel_hits
+from halfseen.scene.view import LIT_TOLERANCE_M, IdealView, Sight, is_reached, mesh_of, pixel_hits
 from halfseen.shapes import Bool, Float, Int
 
 
@@ -50,9 +50,8 @@ def mesh_facets(model: mujoco.MjModel, groups: Sequence[int]) -> Facets:
 
 
 def _corners_m(model: mujoco.MjModel, mesh: int) -> Float[np.ndarray, "facets 3 3"]:
-    first_vertex, first_face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
-    faces = model.mesh_face[first_face : first_face + model.mesh_facenum[mesh]]
-    return model.mesh_vert[first_vertex + faces].astype(np.float64)
+    vertices, faces = mesh_of(model, mesh)
+    return vertices[faces].astype(np.float64)
 
 
 def normals(corners_m: Float[np.ndarray, "facets 3 3"]) -> Float[np.ndarray, "facets 3"]:
@@ -108,33 +107,15 @@ def projector_columns_px(camera: Camera, baseline_m: float, depth_m: Image) -> I
     return np.arange(camera.num_columns) - camera.focal_px[0] * baseline_m / depth_m
 
 
-@dataclass(frozen=True)
-class Sight:
-    """A camera and a projector in a world.
-
-    Parameters
-    ----------
-    model, data
-        The world, and the poses of the bodies.
-    camera
-        The camera.
-    baseline_m
-        Distance of the projector to the camera's right [m].
-    """
-
-    model: mujoco.MjModel
-    data: mujoco.MjData
-    camera: Camera
-    baseline_m: float
-
-    def boxes_m(self, groups: tuple[int, ...]) -> Boxes:
-        """Corners of a box around each geom of some groups, in the camera's frame [m]."""
-        is_asked = np.isin(self.model.geom_group, groups)
-        middle_m, half_m = np.split(self.model.geom_aabb[is_asked], 2, axis=1)
-        corners_m = middle_m[:, None] + half_m[:, None] * _CORNERS
-        turned_m = np.einsum("pij,pcj->pci", self.data.geom_xmat[is_asked].reshape(-1, 3, 3), corners_m)
-        world_m = self.data.geom_xpos[is_asked][:, None] + turned_m
-        return self.camera.world_from_camera.apply_inverse(world_m.reshape(-1, 3)).reshape(world_m.shape)
+def boxes_of(sight: Sight, groups: tuple[int, ...]) -> Boxes:
+    """Corners of a box around each geom of some groups, in the camera's frame [m]."""
+    model, data = sight.data.model, sight.data
+    is_asked = np.isin(model.geom_group, groups)
+    middle_m, half_m = np.split(model.geom_aabb[is_asked], 2, axis=1)
+    corners_m = middle_m[:, None] + half_m[:, None] * _CORNERS
+    turned_m = np.einsum("pij,pcj->pci", data.geom_xmat[is_asked].reshape(-1, 3, 3), corners_m)
+    world_m = data.geom_xpos[is_asked][:, None] + turned_m
+    return sight.camera.world_from_camera.apply_inverse(world_m.reshape(-1, 3)).reshape(world_m.shape)
 
 
 def with_rays(view: IdealView, sight: Sight, standing: tuple[int, ...], moving: tuple[int, ...]) -> IdealView:
@@ -142,9 +123,9 @@ def with_rays(view: IdealView, sight: Sight, standing: tuple[int, ...], moving: 
 
     `standing` are the groups of geoms in the view, `moving` the groups to add.
     """
-    boxes, groups = sight.boxes_m(moving), standing + moving
+    boxes, groups = boxes_of(sight, moving), standing + moving
     is_new = shown_within(boxes, sight.camera)
-    depth_m, hits, directions = pixel_hits(sight.model, sight.camera, is_new, sight.data, groups)
+    depth_m, hits, directions = pixel_hits(sight.data, sight.camera, is_new, groups)
     seen = _copied(view)
     seen.depth_m[is_new], seen.body[is_new] = depth_m, hits.body
     seen.incidence_cosine[is_new] = np.abs(np.sum(hits.normal * directions, axis=1))
@@ -159,7 +140,7 @@ def with_facets(view: IdealView, sight: Sight, others: tuple[int, ...], facets: 
     The result is that of `with_rays`, in a fraction of the time: a ray must search for its facet, a facet covers known
     pixels. `others` are the groups of geoms in the view.
     """
-    camera, seen, boxes = sight.camera, _copied(view), sight.boxes_m((group,))
+    camera, seen, boxes = sight.camera, _copied(view), boxes_of(sight, (group,))
     corners_m = facets.seen_from(sight.data, camera.world_from_camera)
     is_new = np.zeros(view.is_lit.shape, dtype=bool)
     row, column = np.nonzero(shown_within(boxes, camera))
@@ -182,10 +163,8 @@ def _copied(view: IdealView) -> IdealView:
 
 def _is_reached(sight: Sight, depth_m: Image, is_asked: Mask, groups: tuple[int, ...]) -> Bool[np.ndarray, " asked"]:
     """Whether the projector reaches each of the pixels asked, past some groups of geoms."""
-    pose = sight.camera.world_from_camera
-    points_m = pose.apply(sight.camera.pixel_rays()[is_asked] * depth_m[is_asked][:, None])
-    projector_m = np.asarray(pose.position_m) + sight.baseline_m * pose.rotation[:, 0]
-    return is_reached(sight.model, projector_m, points_m, sight.data, groups)
+    points_m = sight.camera.world_from_camera.apply(sight.camera.pixel_rays()[is_asked] * depth_m[is_asked][:, None])
+    return is_reached(sight, points_m, groups)
 
 
 def _is_shaded(corners_m: Float[np.ndarray, "facets 3 3"], boxes: Boxes, sight: Sight, depth_m: Image) -> Mask:

@@ -1,13 +1,18 @@
 """Rigid poses: position and orientation."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from halfseen.arrays import Points
+from halfseen.arrays import Points, Transform
 from halfseen.errors import SceneError
 from halfseen.shapes import Float
+
+Quaternion: TypeAlias = tuple[float, float, float, float]
+"""Scalar first (w, x, y, z)."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,7 @@ class Pose:
     """
 
     position_m: tuple[float, float, float]
-    quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    quaternion: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
     def __post_init__(self) -> None:
         numbers = (*self.position_m, *self.quaternion)
@@ -53,11 +58,9 @@ class Pose:
         )
 
     @property
-    def matrix(self) -> Float[np.ndarray, "4 4"]:
+    def matrix(self) -> Transform:
         """Matrix of the transform for homogeneous points."""
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.position_m
-        return matrix
+        return rigid(self.rotation, self.position_m)
 
     def apply(self, points_m: Points) -> Points:
         """Transform points out of the frame: rotate, then shift [m]."""
@@ -69,27 +72,35 @@ class Pose:
 
     def rounded(self) -> "Pose":
         """Round the position to a micrometre and the quaternion to 1e-7, so that a file stores the pose exactly."""
-        x_m, y_m, z_m = (round(float(value), 6) for value in self.position_m)
-        w, x, y, z = (round(float(value), 7) for value in self.quaternion)
-        return Pose((x_m, y_m, z_m), (w, x, y, z))
+        return pose_of((round(float(x), 6) for x in self.position_m), (round(float(x), 7) for x in self.quaternion))
 
 
-def from_matrix(matrix: Float[np.ndarray, "4 4"]) -> Pose:
-    """Make the pose of a rigid transform of homogeneous points [m]."""
-    w, x, y, z = Rotation.from_matrix(matrix[:3, :3]).as_quat(canonical=True, scalar_first=True).tolist()
-    x_m, y_m, z_m = matrix[:3, 3].tolist()
+def pose_of(position_m: Iterable[float], quaternion: Iterable[float]) -> Pose:
+    """Make a pose of any three numbers [m] and any four (w, x, y, z), such as rows of arrays."""
+    x_m, y_m, z_m = map(float, position_m)
+    w, x, y, z = map(float, quaternion)
     return Pose((x_m, y_m, z_m), (w, x, y, z))
 
 
-def about_axis(axis: tuple[float, float, float], angle_rad: float) -> tuple[float, float, float, float]:
+def rigid(rotation: Float[np.ndarray, "3 3"], position_m: Sequence[float] | Float[np.ndarray, " 3"]) -> Transform:
+    """Make the matrix of a rigid transform of homogeneous points: rotate, then shift [m]."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, position_m
+    return matrix
+
+
+def from_matrix(matrix: Transform) -> Pose:
+    """Make the pose of a rigid transform of homogeneous points [m]."""
+    return pose_of(matrix[:3, 3], Rotation.from_matrix(matrix[:3, :3]).as_quat(canonical=True, scalar_first=True))
+
+
+def about_axis(axis: tuple[float, float, float], angle_rad: float) -> Quaternion:
     """Make the quaternion (w, x, y, z) of a right-handed rotation by an angle about a unit axis [rad]."""
     half_sine = float(np.sin(angle_rad / 2))
     return (float(np.cos(angle_rad / 2)), axis[0] * half_sine, axis[1] * half_sine, axis[2] * half_sine)
 
 
-def compose(
-    first: tuple[float, float, float, float], then: tuple[float, float, float, float]
-) -> tuple[float, float, float, float]:
+def compose(first: Quaternion, then: Quaternion) -> Quaternion:
     """Make the quaternion (w, x, y, z) of two successive rotations, both about axes of the outer frame."""
     w1, x1, y1, z1 = then
     w2, x2, y2, z2 = first

@@ -43,22 +43,25 @@ class Hits:
     normal: Float[np.ndarray, "rays 3"]
 
 
+def at_rest(model: mujoco.MjModel) -> mujoco.MjData:
+    """Bodies of a model in their initial poses."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return data
+
+
 def cast(
-    model: mujoco.MjModel,
+    data: mujoco.MjData,
     origin_m: Float[np.ndarray, " 3"],
     unit_directions: Directions,
     reach_m: float,
-    data: mujoco.MjData | None = None,
     groups: tuple[int, ...] = SEEN_GROUPS,
 ) -> Hits:
-    """Cast rays from one point into a model, which is not changed.
+    """Cast rays from one point among bodies, which do not change.
 
-    Bodies beyond `reach_m` are ignored [m]. `data` holds the poses of the bodies, None for their initial poses;
-    `groups` are the geoms that rays can hit.
+    Bodies beyond `reach_m` are ignored [m]; `groups` are the geoms that rays can hit.
     """
-    if data is None:
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
+    model = data.model
     num_rays = len(unit_directions)
     geom = np.full(num_rays, -1, dtype=np.int32)
     distance_m = np.full(num_rays, -1.0)
@@ -122,16 +125,6 @@ class _Facing:
     num_rows: Int[np.ndarray, " facing"]
 
 
-@dataclass(frozen=True)
-class _Spans:
-    """Spans of facets in rows, from `left` to `right` [px]; `facing` is an index into `_Facing`."""
-
-    facing: Int[np.ndarray, " spans"]
-    row: Int[np.ndarray, " spans"]
-    left: Float[np.ndarray, " spans"]
-    right: Float[np.ndarray, " spans"]
-
-
 def first_met(corners_m: Corners, intrinsics: Intrinsics, rays: RowRays) -> Met:
     """Find the first facet that each ray hits.
 
@@ -143,7 +136,7 @@ def first_met(corners_m: Corners, intrinsics: Intrinsics, rays: RowRays) -> Met:
     inverse_depth, facet = np.zeros(num_rays), np.full(num_rays, -1)
     if num_rays:
         facing = _facing(corners_m, intrinsics, rays)
-        which, ray = _meetings(_spans(facing, rays), rays)
+        which, ray = _meetings(facing, rays)
         a, b, c = facing.inverse_depth[which].T
         each = a * rays.column[ray] + b * rays.row[ray] + c
         np.maximum.at(inverse_depth, ray, each)
@@ -179,7 +172,8 @@ def _extent(
     return top, bottom, (is_whole & is_beside) | ~is_before.any(axis=1)
 
 
-def _spans(facing: _Facing, rays: RowRays) -> _Spans:
+def _meetings(facing: _Facing, rays: RowRays) -> tuple[Int[np.ndarray, " met"], Int[np.ndarray, " met"]]:
+    """Facet, as an index into `_Facing`, and ray of every hit: the rays of a row within the facet's span there."""
     which, within = _counted(facing.num_rows)
     row = facing.top[which] + within
     left = np.full(len(which), float(rays.column.min()))
@@ -192,21 +186,17 @@ def _spans(facing: _Facing, rays: RowRays) -> _Spans:
         np.maximum(left, bound, out=left, where=slope > 0)
         np.minimum(right, bound, out=right, where=slope < 0)
     is_open = left <= right
-    return _Spans(which[is_open], row[is_open], left[is_open], right[is_open])
-
-
-def _meetings(spans: _Spans, rays: RowRays) -> tuple[Int[np.ndarray, " met"], Int[np.ndarray, " met"]]:
-    """Facet, as an index into `_Facing`, and ray of every hit."""
+    which, row, left, right = (each[is_open] for each in (which, row, left, right))
     low = rays.column.min()
     # One number orders rays by row, then column.
     width = rays.column.max() - low + 1.0
     place = rays.row * width + (rays.column - low)
     order = np.argsort(place, kind="stable")
     place = place[order]
-    begin = np.searchsorted(place, spans.row * width + (spans.left - low))
-    end = np.searchsorted(place, spans.row * width + (spans.right - low), side="right")
-    which, within = _counted(end - begin)
-    return spans.facing[which], order[begin[which] + within]
+    begin = np.searchsorted(place, row * width + (left - low))
+    end = np.searchsorted(place, row * width + (right - low), side="right")
+    span, within = _counted(end - begin)
+    return which[span], order[begin[span] + within]
 
 
 def _counted(numbers: Int[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " total"], Int[np.ndarray, " total"]]:

@@ -106,7 +106,7 @@ def is_within(disc: Stain, cup: Cup, points_m: Points) -> Bool[np.ndarray, " n"]
     Points are in the cup's own frame [m].
     """
     radius_m, height_m = np.hypot(points_m[:, 0], points_m[:, 1]), points_m[:, 2]
-    wall_m = cup.base_radius_m + (cup.rim_radius_m - cup.base_radius_m) * height_m / cup.height_m
+    wall_m = cup.radius_at(height_m)
     is_inside = (radius_m < wall_m - cup.wall_m / 2) & (height_m > cup.bottom_m / 2)
     is_handle = radius_m > wall_m + _HANDLE_M
     is_near = np.linalg.norm(points_m - middle_m(disc, cup), axis=1) < disc.radius_m

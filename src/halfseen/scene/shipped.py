@@ -19,7 +19,7 @@ from halfseen.errors import ArgumentError, SceneError
 from halfseen.perception.clouds import Cloud
 from halfseen.perception.pcd import write_pcd
 from halfseen.scene.cups import Cup
-from halfseen.scene.poses import Pose
+from halfseen.scene.poses import pose_of
 from halfseen.scene.table import Camera, Table, Truth
 from halfseen.shapes import Int
 from halfseen.writing import write_file
@@ -88,8 +88,8 @@ def read_table(k: int) -> Table:
     lens = tuple(camera["focal_px"]), tuple(camera["centre_px"]), camera["num_rows"], camera["num_columns"]
     return Table(
         cups=tuple(Cup(**cup) for cup in content["cups"]),
-        world_from_cup=tuple(map(_pose_from, content["world_from_cup"])),
-        camera=Camera(_pose_from(camera["world_from_camera"]), *lens),
+        world_from_cup=tuple(pose_of(**pose) for pose in content["world_from_cup"]),
+        camera=Camera(pose_of(**camera["world_from_camera"]), *lens),
         name=content["name"],
     )
 
@@ -174,7 +174,3 @@ def _read_json(k: int) -> dict[str, Any]:
     if not path.is_file():
         raise SceneError(f"{path}: no such file; make it with `python -m halfseen.scene`")
     return json.loads(path.read_text(encoding="utf-8"))
-
-
-def _pose_from(content: dict[str, Any]) -> Pose:
-    return Pose(tuple(content["position_m"]), tuple(content["quaternion"]))

@@ -7,12 +7,11 @@ Geometry only, without sensor noise. The camera's frame has x to the right, y do
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from halfseen.arrays import Hides, Intrinsics, ObjectMask, PerObject, Points
 from halfseen.errors import SceneError
 from halfseen.scene.cups import Cup
-from halfseen.scene.poses import Pose
+from halfseen.scene.poses import Pose, from_matrix, rigid
 from halfseen.shapes import Bool, Float, Int
 
 
@@ -96,9 +95,7 @@ def look_at(position_m: Float[np.ndarray, " 3"], target_m: Float[np.ndarray, " 3
     right = np.cross(forward, np.array([0.0, 0.0, 1.0]))
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
-    w, x, y, z = Rotation.from_matrix(rotation).as_quat(canonical=True, scalar_first=True).tolist()
-    x_m, y_m, z_m = (float(value) for value in position_m)
-    return Pose((x_m, y_m, z_m), (w, x, y, z)).rounded()
+    return from_matrix(rigid(rotation, position_m)).rounded()
 
 
 TABLE_TOP_M = 0.72

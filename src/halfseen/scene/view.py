@@ -16,7 +16,7 @@ import numpy as np
 from halfseen.arrays import Image
 from halfseen.scene.cups import Cup, Faces, Vertices, body_mesh, handle_mesh, outline
 from halfseen.scene.poses import Pose
-from halfseen.scene.rays import CUP_GROUP, SEEN_GROUPS, Directions, Hits, cast
+from halfseen.scene.rays import CUP_GROUP, SEEN_GROUPS, Directions, Hits, at_rest, cast
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Camera, Table
 from halfseen.shapes import Bool, Float, Int
 
@@ -35,18 +35,18 @@ def cup_name(index: int) -> str:
     return f"cup_{index}"
 
 
-def room_model(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: bool) -> mujoco.MjModel:
-    """Compile the whole room; physics moves the cups if they are free, otherwise they are fixed.
+def room_spec(
+    cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: bool, is_furnished: bool = True
+) -> mujoco.MjSpec:
+    """Build the whole room, or only its cups; physics moves the cups if they are free, otherwise they are fixed.
 
     Body ``cup_i`` is cup i; everything else belongs to the world body.
     """
-    return room_spec(cups, world_from_cup, is_free=is_free).compile()
-
-
-def room_spec(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: bool) -> mujoco.MjSpec:
-    """Build the whole room without compiling it, so that it can be extended; parameters are those of `room_model`."""
-    spec = _empty_spec()
-    _add_furniture(spec)
+    spec = mujoco.MjSpec()
+    spec.option.timestep = TIMESTEP_S
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    if is_furnished:
+        _add_furniture(spec)
     for index, (cup, pose) in enumerate(zip(cups, world_from_cup, strict=True)):
         _add_cup(spec, index, cup, pose, is_free=is_free)
     return spec
@@ -54,16 +54,7 @@ def room_spec(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: b
 
 def lone_cup_model(cup: Cup, world_from_cup: Pose) -> mujoco.MjModel:
     """Compile a world with one fixed cup and nothing else; body 1 is the cup."""
-    spec = _empty_spec()
-    _add_cup(spec, 0, cup, world_from_cup, is_free=False)
-    return spec.compile()
-
-
-def _empty_spec() -> mujoco.MjSpec:
-    spec = mujoco.MjSpec()
-    spec.option.timestep = TIMESTEP_S
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    return spec
+    return room_spec([cup], [world_from_cup], is_free=False, is_furnished=False).compile()
 
 
 def _add_furniture(spec: mujoco.MjSpec) -> None:
@@ -95,11 +86,11 @@ def _add_cup(spec: mujoco.MjSpec, index: int, cup: Cup, pose: Pose, *, is_free: 
     if cup.handle_m > 0:
         meshes["handle"] = handle_mesh(cup)
     for part, (vertices, faces) in meshes.items():
-        name = f"{cup_name(index)}_{part}"
-        _add_mesh(spec, name, vertices, faces)
+        mesh = add_mesh(spec, f"{cup_name(index)}_{part}", vertices, faces)
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT
         body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=name,
+            meshname=mesh.name,
             density=_DENSITY,
             friction=list(_FRICTION),
             solref=list(_STIFF_CONTACT),
@@ -108,9 +99,15 @@ def _add_cup(spec: mujoco.MjSpec, index: int, cup: Cup, pose: Pose, *, is_free: 
         )
 
 
-def _add_mesh(spec: mujoco.MjSpec, name: str, vertices: Vertices, faces: Faces) -> None:
-    mesh = spec.add_mesh(name=name, uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist())
-    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT
+def add_mesh(spec: mujoco.MjSpec, name: str, vertices: Vertices, faces: Faces) -> mujoco.MjsMesh:
+    """Add a mesh with vertices [m] and triangles to a model."""
+    return spec.add_mesh(name=name, uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist())
+
+
+def mesh_of(model: mujoco.MjModel, mesh: int) -> tuple[Vertices, Faces]:
+    """Vertices [m] and triangles of a mesh of a compiled model, along its principal axes."""
+    vertices = model.mesh_vert[model.mesh_vertadr[mesh] :][: model.mesh_vertnum[mesh]]
+    return vertices, model.mesh_face[model.mesh_faceadr[mesh] :][: model.mesh_facenum[mesh]]
 
 
 LIT_TOLERANCE_M = 0.002
@@ -145,26 +142,40 @@ class IdealView:
         return np.where(self.body > 0, self.body - 1, -1)
 
 
-def ideal_view(
-    model: mujoco.MjModel,
-    camera: Camera,
-    baseline_m: float,
-    data: mujoco.MjData | None = None,
-    groups: tuple[int, ...] = SEEN_GROUPS,
-) -> IdealView:
-    """View a model with an ideal camera, and a projector `baseline_m` to its right [m].
+@dataclass(frozen=True)
+class Sight:
+    """A camera and a projector among bodies.
 
-    `data` holds the poses of the bodies, None for their initial poses; `groups` are the visible geoms.
+    Parameters
+    ----------
+    data
+        The bodies, in their poses.
+    camera
+        The camera.
+    baseline_m
+        Distance of the projector to the camera's right [m].
     """
-    depth_m, hits, directions = pixel_hits(model, camera, data=data, groups=groups)
-    origin_m = np.asarray(camera.world_from_camera.position_m)
-    points_m = origin_m + hits.distance_m[:, None] * directions
-    projector_m = origin_m + baseline_m * camera.world_from_camera.rotation[:, 0]
+
+    data: mujoco.MjData
+    camera: Camera
+    baseline_m: float
+
+    @property
+    def projector_m(self) -> Float[np.ndarray, " 3"]:
+        """Position of the projector in the world [m]."""
+        pose = self.camera.world_from_camera
+        return np.asarray(pose.position_m) + self.baseline_m * pose.rotation[:, 0]
+
+
+def ideal_view(sight: Sight, groups: tuple[int, ...] = SEEN_GROUPS) -> IdealView:
+    """View bodies with an ideal camera; `groups` are the visible geoms."""
+    depth_m, hits, directions = pixel_hits(sight.data, sight.camera, groups=groups)
+    points_m = np.asarray(sight.camera.world_from_camera.position_m) + hits.distance_m[:, None] * directions
     return IdealView(
         depth_m=depth_m,
         body=hits.body.reshape(depth_m.shape),
         incidence_cosine=np.abs(np.sum(hits.normal * directions, axis=1)).reshape(depth_m.shape),
-        is_lit=is_reached(model, projector_m, points_m, data, groups).reshape(depth_m.shape),
+        is_lit=is_reached(sight, points_m, groups).reshape(depth_m.shape),
     )
 
 
@@ -174,7 +185,8 @@ def table_view(table: Table, baseline_m: float) -> IdealView:
 
     The projector is `baseline_m` to the camera's right [m]. Arrays are read-only.
     """
-    view = ideal_view(room_model(table.cups, table.world_from_cup, is_free=False), table.camera, baseline_m)
+    room = room_spec(table.cups, table.world_from_cup, is_free=False).compile()
+    view = ideal_view(Sight(at_rest(room), table.camera, baseline_m))
     for image in (view.depth_m, view.body, view.incidence_cosine, view.is_lit):
         image.flags.writeable = False
     return view
@@ -190,7 +202,7 @@ def lone_depths_m(table: Table) -> Float[np.ndarray, "N H W"]:
     depths_m = np.full((table.num_cups, table.camera.num_rows, table.camera.num_columns), np.inf)
     for index, (cup, pose) in enumerate(zip(table.cups, table.world_from_cup, strict=True)):
         window = _window(table.camera, cup, pose)
-        depth_m, _, _ = pixel_hits(lone_cup_model(cup, pose), table.camera, window)
+        depth_m, _, _ = pixel_hits(at_rest(lone_cup_model(cup, pose)), table.camera, window)
         depths_m[index][window] = np.where(np.isnan(depth_m), np.inf, depth_m)
     depths_m.flags.writeable = False
     return depths_m
@@ -207,39 +219,34 @@ def is_whole_in_picture(table: Table, margin_px: float = 8.0) -> bool:
 
 
 def pixel_hits(
-    model: mujoco.MjModel,
+    data: mujoco.MjData,
     camera: Camera,
     window: tuple[slice, slice] | Bool[np.ndarray, "H W"] = np.s_[:, :],
-    data: mujoco.MjData | None = None,
     groups: tuple[int, ...] = SEEN_GROUPS,
 ) -> tuple[Float[np.ndarray, "*px"], Hits, Directions]:
-    """Cast the rays of the pixels of a window; other parameters are those of `ideal_view`.
+    """Cast the rays of the pixels of a window among bodies; `groups` are the visible geoms.
 
     Returns the depth of each pixel, NaN without a hit [m], the hits, and the direction of each ray in the world.
     """
     rays = camera.pixel_rays()[window]
     lengths = np.linalg.norm(rays, axis=-1)
     directions = (rays / lengths[..., None]).reshape(-1, 3) @ camera.world_from_camera.rotation.T
-    hits = cast(model, np.asarray(camera.world_from_camera.position_m), directions, _REACH_M, data, groups)
+    hits = cast(data, np.asarray(camera.world_from_camera.position_m), directions, _REACH_M, groups)
     return hits.distance_m.reshape(lengths.shape) / lengths, hits, directions
 
 
 def is_reached(
-    model: mujoco.MjModel,
-    projector_m: Float[np.ndarray, " 3"],
-    points_m: Float[np.ndarray, "n 3"],
-    data: mujoco.MjData | None,
-    groups: tuple[int, ...] = SEEN_GROUPS,
+    sight: Sight, points_m: Float[np.ndarray, "n 3"], groups: tuple[int, ...] = SEEN_GROUPS
 ) -> Bool[np.ndarray, " n"]:
-    """Whether the projector reaches each point: the first hit on the way to it is the point itself.
+    """Whether the projector reaches each point past some groups of geoms: the first hit on the way is the point itself.
 
-    Projector and points are in world coordinates [m]; a NaN is never reached. Other parameters are those of
-    `ideal_view`.
+    Points are in world coordinates [m]; a NaN is never reached.
     """
+    projector_m = sight.projector_m
     is_point = np.isfinite(points_m[:, 0])
     ways_m = points_m[is_point] - projector_m
     lengths_m = np.linalg.norm(ways_m, axis=1)
-    first = cast(model, projector_m, ways_m / lengths_m[:, None], _REACH_M + 1.0, data, groups)
+    first = cast(sight.data, projector_m, ways_m / lengths_m[:, None], _REACH_M + 1.0, groups)
     # A ray without a hit passed the edge of the surface at which it was aimed: the point is lit.
     reached = np.isnan(first.distance_m) | (first.distance_m >= lengths_m - LIT_TOLERANCE_M)
     is_lit = np.zeros(len(points_m), dtype=bool)

@@ -239,7 +239,7 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         start_key, self._world_key, _ = random.split(random.fold_in(random.key_of(episode_seed), 0), 3)
         self._state, self._hidden = start(self.config, mapped(lambda leaf: leaf[which], self.layouts), start_key)
         self._num_decisions, self.elapsed_s, self.is_over, self.is_cut = 0, 0.0, False, False
-        return self.observation(), {**self._info(), "episode_seed": episode_seed}
+        return self.observation(), {**self.info(), "episode_seed": episode_seed}
 
     def step(self, action: np.integer | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Let the deciding robot begin an action, and advance to the next decision or to a cut before it.
@@ -260,10 +260,10 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         reward, end_s = float(outcome.reward), self.elapsed_s + float(outcome.duration_s)
         if end_s > self._cut_s:
             self.is_cut, self.elapsed_s = True, self._cut_s
-            return self.observation(), 0.0, False, True, {**self._info(), "cause": CAUSES["independent"]}
+            return self.observation(), 0.0, False, True, {**self.info(), "cause": CAUSES["independent"]}
         self._state, self._hidden, self._num_decisions = after, hidden, self._num_decisions + 1
         self.elapsed_s, self.is_over = end_s, bool(outcome.is_over)
-        return self.observation(), reward, self.is_over, False, self._info()
+        return self.observation(), reward, self.is_over, False, self.info()
 
     def observation(self, robot: int | None = None) -> Observation:
         """S_t as arrays, as seen by the deciding robot or by `robot`."""
@@ -271,8 +271,9 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         return mapped(np.copy, observed(self.config, self.state, robot))
 
     def info(self, robot: int | None = None) -> dict[str, Any]:
-        """Clock and action mask of the deciding robot or of `robot`."""
-        return {"elapsed_s": self.elapsed_s, "action_mask": self.action_mask(robot)}
+        """Clock and action mask of `robot`, or of the robot that decides, which is named in a team."""
+        who = {} if self.team is None or robot is not None else {"robot": self.decider}
+        return {"elapsed_s": self.elapsed_s, "action_mask": self.action_mask(robot), **who}
 
     def action_mask(self, robot: int | None = None) -> Int[np.ndarray, " A"]:
         """Which actions are possible; none for a robot that does not decide."""
@@ -291,9 +292,6 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
             for r, robot in enumerate(self.team.robots):
                 lines.append(f"{robot.name}: {_doing_of(seen, r)}, {seen['decisions_to_go'][r]} decisions to go")
         return "\n".join([*lines, *(_object_line(seen, cup) for cup in np.flatnonzero(seen["is_object"]).tolist())])
-
-    def _info(self) -> dict[str, Any]:
-        return self.info() if self.team is None else {**self.info(), "robot": self.decider}
 
 
 class TeamCupsEnv(CupsEnv):

@@ -6,7 +6,7 @@ uncertainty of a learned Q see `halfseen.policies.decision`.
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -14,6 +14,10 @@ from halfseen.errors import ArgumentError
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import FINISH, TARGETED, ActionSpace, Verb
 from halfseen.world.state import TableState
+
+Values: TypeAlias = Float[np.ndarray, " A"]
+Draws: TypeAlias = Float[np.ndarray, "B A"]
+Mask: TypeAlias = Bool[np.ndarray, " A"]
 
 SAME_VALUE = 1e-6
 """Values in a draw that differ by less are tied [reward]; float32 resolves less than this."""
@@ -47,10 +51,10 @@ class Explanation:
     """
 
     actions: tuple[str, ...]
-    values: Float[np.ndarray, " A"]
-    low: Float[np.ndarray, " A"]
-    high: Float[np.ndarray, " A"]
-    probability_best: Float[np.ndarray, " A"]
+    values: Values
+    low: Values
+    high: Values
+    probability_best: Values
     lift_worth: Float[np.ndarray, " N"]
     lift_low: Float[np.ndarray, " N"]
     lift_high: Float[np.ndarray, " N"]
@@ -100,12 +104,7 @@ class Explanation:
         return "; ".join(parts) + "."
 
 
-def explained(
-    values: Float[np.ndarray, " A"],
-    draws: Float[np.ndarray, "B A"],
-    is_possible: Bool[np.ndarray, " A"],
-    level: float = 0.9,
-) -> Explanation:
+def explained(values: Values, draws: Draws, is_possible: Mask, level: float = 0.9) -> Explanation:
     """Explain one state of a table by draws from the distribution of Q.
 
     Parameters
@@ -209,9 +208,7 @@ def _interval(
     return ends[0], ends[1]
 
 
-def _check(
-    values: Float[np.ndarray, " A"], draws: Float[np.ndarray, "B A"], is_possible: Bool[np.ndarray, " A"], level: float
-) -> None:
+def _check(values: Values, draws: Draws, is_possible: Mask, level: float) -> None:
     actions = ActionSpace.of_size(len(values))
     if len(values) != actions.num_actions or not is_possible[FINISH]:
         raise ArgumentError(

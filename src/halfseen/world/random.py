@@ -18,8 +18,6 @@ _PARITY = np.uint32(0x1BD11BDA)
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 _TURNS = [[(np.array(by, dtype=np.uint32), np.array(32 - by, dtype=np.uint32)) for by in of] for of in _ROTATIONS]
 """Left and right shifts of each rotation; NumPy handles zero-dimensional arrays faster than scalars."""
-_AT_ONCE = 28672
-"""Number of words rotated at once, which stay in the nearest caches of a core."""
 _CENTRAL = (2.81022636e-08, 3.43273939e-07, -3.5233877e-06, -4.39150654e-06, 0.00021858087, -0.00125372503)
 _CENTRAL += (-0.00417768164, 0.246640727, 1.50140941)
 _TAIL = (-0.000200214257, 0.000100950558, 0.00134934322, -0.00367342844, 0.00573950773, -0.0076224613)
@@ -128,49 +126,12 @@ def _words(key: Key, shape: tuple[int, ...]) -> UInt32[Any, "*S"]:
 
 def _threefry(one: Any, other: Any, second: Any) -> tuple[Any, Any]:
     """Threefry-2×32 with 20 rounds: the counter (0, second) under a key of two words; at least one axis."""
-    if library_of(one, second) is not np:
-        return _rounds(one, other, second)
-    shape = np.broadcast_shapes(one.shape, second.shape)
-    num_parts = -(-math.prod(shape) // _AT_ONCE)
-    if num_parts <= 1:
-        return _rounds_in_place(one, other, second)
-    found, width = np.empty((2, *shape), dtype=np.uint32), -(-shape[-1] // num_parts)
-    for k in range(0, shape[-1], width):
-        part = slice(k, k + width)
-        words = (each if each.shape[-1:] in ((), (1,)) else each[..., part] for each in (one, other, second))
-        found[..., part] = _rounds_in_place(*words)
-    return found[0], found[1]
-
-
-def _rounds(one: Any, other: Any, second: Any) -> tuple[Any, Any]:
-    schedule = _schedule(one, other)
+    words = (one, other, one ^ other ^ _PARITY)
     first, second = one + (second & np.uint32(0)), second + other
     for group in range(5):
         for left, right in _TURNS[group % 2]:
             first = first + second
             second = ((second << left) | (second >> right)) ^ first
-        first, second = first + schedule[group][0], second + schedule[group][1]
+        # The key schedule adds to both words after every four rounds.
+        first, second = first + words[(group + 1) % 3], second + words[(group + 2) % 3] + np.uint32(group + 1)
     return first, second
-
-
-def _rounds_in_place(one: np.ndarray, other: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Compute `_rounds` in three buffers."""
-    schedule, second = _schedule(one, other), second + other
-    first, turned = np.empty_like(second), np.empty_like(second)
-    first[...] = one
-    for group in range(5):
-        for left, right in _TURNS[group % 2]:
-            np.add(first, second, first)
-            np.left_shift(second, left, turned)
-            np.right_shift(second, right, second)
-            np.bitwise_or(second, turned, second)
-            np.bitwise_xor(second, first, second)
-        np.add(first, schedule[group][0], first)
-        np.add(second, schedule[group][1], second)
-    return first, second
-
-
-def _schedule(one: Any, other: Any) -> list[tuple[Any, Any]]:
-    """Key schedule: the terms added to both words after every four rounds."""
-    words = (one, other, one ^ other ^ _PARITY)
-    return [(words[(k + 1) % 3], words[(k + 2) % 3] + np.uint32(k + 1)) for k in range(5)]

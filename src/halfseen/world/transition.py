@@ -12,7 +12,7 @@ change. An action that ends at the very moment of a drop-out ends before it.
 """
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from halfseen.world.state import (
     TableState,
     initial_state,
     nothing_pending,
+    numbered,
     occlusion,
 )
 
@@ -53,6 +54,11 @@ class Outcome(NamedTuple):
     seconds until its own end, and then the penalty for dirty objects left in its reach; None for a single robot."""
     out_s: Float[Array, "*B K"] | None = None
     """Time from the stage's begin to each robot's drop-out, infinite without one; None if no robot can drop out [s]."""
+
+
+Stepped: TypeAlias = tuple[TableState, HiddenState, Outcome]
+Paid: TypeAlias = tuple[TableState, HiddenState, Amounts]
+"""Observed and hidden state afterwards, and a reward."""
 
 
 def start(config: WorldConfig, layout: Layout, key: Key) -> tuple[TableState, HiddenState]:
@@ -84,7 +90,7 @@ def until_out_s(config: WorldConfig, key: Key) -> Float[Array, "*B K"] | None:
 
 def step(
     config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key, *, any_action: bool = False
-) -> tuple[TableState, HiddenState, Outcome]:
+) -> Stepped:
     """Let the deciding robot begin an action, and advance to the next decision.
 
     An attempt of a single robot on an object that is not on the table closes on nothing: it fails, and takes the
@@ -117,9 +123,7 @@ def step(
     return _step_of_several(config, state, hidden, action, key, is_possible)
 
 
-def _step_alone(
-    config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key
-) -> tuple[TableState, HiddenState, Outcome]:
+def _step_alone(config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key) -> Stepped:
     """One step of a single robot: its action ends without other events."""
     xp, actions = library_of(action), ActionSpace(state.num_objects)
     grasp_key, see_key = random.split(key)
@@ -143,7 +147,7 @@ def _ended(
     key: Key,
     robot: Which | None = None,
     in_the_air: Bool[Array, "*B N"] | bool = False,
-) -> tuple[TableState, HiddenState, Amounts]:
+) -> Paid:
     """Observed and hidden state after an attempt and the look that follows, and the reward."""
     state = after_attempt(state, verb, target, tried, was_hidden, robot)
     is_lifted = is_target(state, target) & (tried.is_held & (verb == Verb.LIFT))[..., None]
@@ -153,7 +157,7 @@ def _ended(
 
 def _step_of_several(
     config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key, is_possible: Flags | None
-) -> tuple[TableState, HiddenState, Outcome]:
+) -> Stepped:
     """Let the deciding robot begin an action, and process events until a robot is free to decide."""
     xp = library_of(action)
     grasp_key, see_key = random.split(key)
@@ -205,11 +209,6 @@ def _added(total: Outcome, later: Outcome) -> Outcome:
     return Outcome(reward, duration_s, total.is_over, alone + later.paid_alone, out_s)
 
 
-def _is_one(robots: Robots, robot: Which) -> Bool[Array, "*B K"]:
-    """One-hot mask of a robot's number."""
-    return library_of(robot).arange(robots.num_robots) == robot[..., None]
-
-
 def _begun(
     config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key, is_possible: Flags | None
 ) -> tuple[TableState, HiddenState]:
@@ -225,7 +224,7 @@ def _begun(
         at_there = occlusion(there)
     tried = attempted(config.as_robot(robot), there, hidden, _to_the_table(verb), target, key, at_there)
     duration_s = (config.transport_s + tried.duration_s) / xp.asarray(config.speed, dtype=np.float32)[robot]
-    is_mine = _is_one(robots, robot)
+    is_mine = numbered(robot, config.num_robots)
 
     def mine(values: Any, others: Any) -> Any:
         return chosen(is_mine, xp.expand_dims(values, robot.ndim), others)
@@ -255,9 +254,7 @@ def _to_the_table(verb: Which) -> Which:
     return library_of(verb).where(verb == WAIT, Verb.FINISH, verb)
 
 
-def _next_event(
-    config: WorldConfig, state: TableState, hidden: HiddenState, key: Key
-) -> tuple[TableState, HiddenState, Outcome]:
+def _next_event(config: WorldConfig, state: TableState, hidden: HiddenState, key: Key) -> Stepped:
     """Process the next event, the first action to end or an earlier drop-out: state, hidden state and outcome."""
     robots, until_out = _robots(state), hidden.until_out_s
     xp, zero, never, out_s = library_of(robots.is_busy), np.float32(0.0), np.float32(np.inf), None
@@ -273,12 +270,13 @@ def _next_event(
         passed_s, paid = xp.where(is_first, leaves_s, passed_s), xp.where(is_first, zero, paid)
         # The table does not change.
         freed, pending = _freed(robots, _pending(hidden), leaver, passed_s)
-        is_out = robots.is_out | _is_one(robots, leaver)
+        is_leaver = numbered(leaver, config.num_robots)
+        is_out = robots.is_out | is_leaver
         at_drop_out = replace(state, robots=replace(freed, is_out=is_out)), replace(hidden, pending=pending)
         after, of_hidden = chosen(is_first, at_drop_out, (after, of_hidden))
         of_hidden = replace(of_hidden, until_out_s=until_out - passed_s[..., None])
-        out_s = xp.where(is_first[..., None] & _is_one(robots, leaver), passed_s[..., None], never)
-    own = xp.where(_is_one(robots, robot), paid[..., None], zero)
+        out_s = xp.where(is_first[..., None] & is_leaver, passed_s[..., None], never)
+    own = xp.where(numbered(robot, config.num_robots), paid[..., None], zero)
     alone = own + _own_price(config, robots.is_done, after, of_hidden, passed_s)
     return after, of_hidden, Outcome(paid, passed_s, xp.asarray(False), alone, out_s)
 
@@ -300,7 +298,7 @@ def _own_price(
 
 def _at_end(
     config: WorldConfig, state: TableState, hidden: HiddenState, robot: Which, passed_s: Amounts, key: Key
-) -> tuple[TableState, HiddenState, Amounts]:
+) -> Paid:
     """Observed and hidden state after a robot's action ends, and its reward."""
     robots, pending, xp = _robots(state), _pending(hidden), library_of(robot)
     verb, target, is_held = (at(values, robot) for values in (robots.verb, robots.target, pending.is_held))
@@ -311,7 +309,7 @@ def _at_end(
     )
     tried = Attempt(is_held, duration_s, xp.where(is_moved, moved, state.hides), None)
     robots, pending = _freed(robots, pending, robot, passed_s)
-    is_parked = xp.where(_is_one(robots, robot), (verb == Verb.FINISH)[..., None], robots.is_parked)
+    is_parked = xp.where(numbered(robot, config.num_robots), (verb == Verb.FINISH)[..., None], robots.is_parked)
     # An object is held for as long as its transport takes.
     transport_s = config.transport_s / xp.asarray(config.speed, dtype=np.float32)
     is_holding = robots.is_busy & pending.is_held & (pending.left_s <= transport_s)
@@ -325,7 +323,7 @@ def _at_end(
 def _freed(robots: Robots, pending: Pending, robot: Which, passed_s: Amounts) -> tuple[Robots, Pending]:
     """Free a robot, and all waiting robots, after `passed_s`."""
     xp, never = library_of(robot), np.float32(np.inf)
-    is_free = _is_one(robots, robot) | (robots.is_busy & (robots.verb == WAIT))
+    is_free = numbered(robot, robots.num_robots) | (robots.is_busy & (robots.verb == WAIT))
     left_s = xp.where(robots.is_busy, pending.left_s, never)
     freed = replace(robots, is_busy=robots.is_busy & ~is_free, since_s=robots.since_s + passed_s[..., None])
     return freed, replace(pending, left_s=xp.where(freed.is_busy, left_s - passed_s[..., None], never))
