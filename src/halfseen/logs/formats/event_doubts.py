@@ -12,7 +12,7 @@ from halfseen.errors import warn
 from halfseen.logs.columns import shown
 from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, Event
 from halfseen.logs.formats.bags import Trajectory
-from halfseen.logs.formats.column_words import BEGIN_LIKE
+from halfseen.logs.formats.guesses import BEGIN_LIKE
 from halfseen.logs.formats.table_cells import Cells
 from halfseen.logs.formats.table_mapping import Clock, EventMapping
 from halfseen.logs.formats.table_values import NANOSECONDS, Stamps
