@@ -103,7 +103,7 @@ def warn_of_rows_apart(cells: Cells, groups: Groups, mapping: EventMapping) -> N
 
 def warn_of_reordered(cells: Cells, groups: Groups, stamps: Stamps, mapping: EventMapping) -> None:
     """Warn about rows above which a later time stands; refuse them between stages that have numbers (`LogError`)."""
-    if mapping.clock.since == "stage" or (mapping.clock.since is not None and mapping.has_begins):
+    if mapping.takes_order:
         return
     late = [rows[k + 1] for rows in groups.values() for k in np.flatnonzero(np.diff(stamps[rows]) < 0).tolist()]
     if late and mapping.wide is not None:

@@ -184,7 +184,7 @@ def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> 
     free = [name for name in cells.columns if name not in (*found.values(), ROW)]
     for name in [] if "topic" in found else free:
         lines = f"[covariates.{_key(name)}]", f"field = {_guess(cells, name)}"
-        if guesses.KNOWN_LATER.search(name):
+        if guesses.is_known_later(name):
             yield from ("", "# Its name suggests a value known only after the action; such a value is not a covariate.")
             yield from (f"# {line}" for line in lines)
         else:

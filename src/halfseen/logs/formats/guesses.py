@@ -1,11 +1,12 @@
-"""Which columns and events of a table carry what, guessed from their names and cells.
+"""Which columns and events of a table carry what, guessed from their names (`guesses.toml`) and cells.
 
-Names are German, English, French, Spanish or Italian. A table may have one row an event, a stage or a trajectory.
+A table may have one row an event, a stage or a trajectory.
 """
 
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import pandas as pd
@@ -14,47 +15,15 @@ from halfseen.logs.formats.ending_flags import are_flags
 from halfseen.logs.formats.table_cells import ROW, Cells
 from halfseen.logs.formats.table_values import ISO, WHOLE, dates_and_times, is_numeric, joined
 from halfseen.logs.formats.wide_tables import STAGE, reshaped, staged_columns, stages_of
+from halfseen.reading import toml_of
 
-BEGIN_LIKE = re.compile(r"beg[ia]n|start|anfang|début|inicio|inizio|^(von|from)$", re.IGNORECASE)
-"""Pattern of column names of begin times."""
-LIKE = {
-    "clock.field": r"zeit|time|stamp|date|datum|uhr|elapsed|clock|ende?_|end$|dauer|^t$|(^|_)(ms|us|ns|s|min)$"
-    r"|(^|_)days?$|heure|horodat|fecha|hora|^ora$|^data",
-    "clock.begin": BEGIN_LIKE.pattern,
-    "trajectory": r"lauf|run|traj|episode|auftrag|order|job|batch|charge|cycle|zyklus|trial|essai|ciclo|lote|lotto",
-    "topic": r"ereignis|event|typ|meldung|message|topic|kind|signal|tag|évén|mensaje|messaggio",
-    "action": r"a[kc]tion|griff|greif|grip|tool|werkzeug|decision|choice|prise|pince|outil|acción|azione|pinza",
-    "object": r"obje[kc]?t|teil|part|item|pièce|pieza|pezzo",
-    "probability": r"prob|wahrsch|propens|^p$",
-    "reward": r"reward|belohn|ertrag|worth|wert|value|score|punkt|profit|gewinn|récomp|valeur|valor",
-    "ending": r"ende?$|ending|ergebnis|outcome|result|abbruch|schluss|stop|cause|grund|ursache|fault|fehler|stör|status"
-    r"|reason|drop_?out|withdr|^fine?$|résult|risult|causa|motif|arrêt|terminat|truncat",
-}
-"""Patterns of column names for each key, in order of assignment."""
-EVENTS_LIKE = {
-    "trajectory": r"^(start|begin|anfang|début|inicio|inizio)|[^a-z](start(ed)?|begin|begun|anfang)$",
-    "ending": r"^end|[^a-z]end(e|ed)?$|^fine?$|stop|finish|fertig|abbruch|not-?halt|arrêt|parada|arresto",
-    "reward": r"reward|ertrag|place|ablage|abgelegt|result|ergebnis|drop|success|^n?ok$|^(n\.?)?i\.?o\.?$"
-    r"|dépo|depó|depos|résult",
-    "action": r"griff|greif|pick|gras?p|grip|a[kc]tion|prise|agarre|presa|acción|azione",
-}
-FLAGS_LIKE = {
-    "ending.finished": re.compile(r"terminat|is_terminal|(^|_)done$", re.IGNORECASE),
-    "ending.cut": re.compile(r"truncat|time_?out|time_?limit|^is_last$", re.IGNORECASE),
-}
-"""Patterns of columns with ending flags in the row of the action."""
-END_TIME_LIKE = re.compile(r"(^|[^a-z])(end(e|ed)?|bis|until|fin(e|ished)?|done|stop(ped)?)([^a-z]|$)", re.IGNORECASE)
-"""Pattern of columns with the end time of a stage."""
-KNOWN_LATER = re.compile(f"{LIKE['ending']}|{END_TIME_LIKE.pattern}|^is_(first|last)$", re.IGNORECASE)
-"""Pattern of columns that are no covariates because they are known only after the action."""
-FINISHED_LIKE = re.compile(r"fertig|finish|done|complet|success|^ok$|^ende?$|termin|réussi", re.IGNORECASE)
-"""Pattern of events and endings that are no cut."""
-WIDE_LIKE = {
-    "action": r"a|arm|d|dos[ei]s?|trt|treat\w*|tx|rx|therap\w*|drug|behandlung|traitement|tratamiento|trattamento",
-    "trajectory": rf"{LIKE['trajectory']}|^id$|patient|subject",
-    "reward": r"y|r|outcome|utility|response",
-}
-"""Further patterns in tables of one row a trajectory: of whole names, that of a trajectory of parts."""
+_WORDS = toml_of(Path(__file__).with_name("guesses.toml").read_text(encoding="utf-8"))
+LIKE, FLAGS_LIKE, EVENTS_LIKE, WIDE_LIKE, _OTHERS = (
+    {key: re.compile("|".join(words), re.IGNORECASE) for key, words in _WORDS[table].items()}
+    for table in ("columns", "flags", "events", "wide", "others")
+)
+"""Patterns of names by key: of columns, of flags, of events, and of columns in tables of one row a trajectory."""
+BEGIN_LIKE, END_TIME_LIKE, FINISHED_LIKE = LIKE["clock.begin"], _OTHERS["end_time"], _OTHERS["finished"]
 _WORD = "(?:stage|visit|wave|week|day|time|t|v|s)?"
 _BY_STAGE = (
     rf"(?P<name>.*?[^\W\d])(?P<between>(?:[_. -]{_WORD}[_. -]?)?)(?P<stage>\d{{1,2}})",
@@ -108,7 +77,9 @@ def _of_wide(cells: Cells, parts: dict[str, list[str]]) -> Guesses | None:
     rows = reshaped(cells, staged, list(staged))
     once = [name for name in cells.columns if name in rows.columns and name not in staged]
     names = [name for name in once if _are_names(cells.columns[name])]
-    rewards = (name for name in (*staged, *once) if _is(name, "reward") and are_numbers(rows.columns[name]))
+    rewards = (
+        name for name in (*staged, *once) if WIDE_LIKE["reward"].search(name) and are_numbers(rows.columns[name])
+    )
     found = {
         "action": action,
         "trajectory": min(names, key=lambda name: (name == ROW, not _is_name(name)), default=None),
@@ -130,7 +101,7 @@ def _way(cells: Cells, column: str) -> tuple[str, str] | None:
         if match is None:
             continue
         name, between = match["name"], match["between"]
-        if not (_is(name, "action") or re.search(LIKE["action"], name, re.IGNORECASE)):
+        if not (WIDE_LIKE["action"].search(name) or LIKE["action"].search(name)):
             continue
         before = match.groupdict().get("before")
         pattern = f"{{name}}{between}{{stage}}" if before is None else f"{before}{{stage}}{between}{{name}}"
@@ -143,12 +114,8 @@ def _way(cells: Cells, column: str) -> tuple[str, str] | None:
     return None
 
 
-def _is(name: str, key: str) -> bool:
-    return re.fullmatch(WIDE_LIKE[key], name, re.IGNORECASE) is not None
-
-
 def _is_name(name: str) -> bool:
-    return re.search(WIDE_LIKE["trajectory"], name, re.IGNORECASE) is not None
+    return any(like["trajectory"].search(name) for like in (LIKE, WIDE_LIKE))
 
 
 def _are_names(texts: Sequence[str]) -> bool:
@@ -170,7 +137,7 @@ def _columns(cells: Cells, given: dict[str, str]) -> dict[str, str]:
         free = (
             name
             for name, texts in cells.columns.items()
-            if name not in found.values() and any(texts) and re.search(like, name, re.IGNORECASE) and is_fit(texts)
+            if name not in found.values() and any(texts) and like.search(name) and is_fit(texts)
         )
         if key not in known and (name := next(free, None)) is not None:
             found[key] = name
@@ -244,9 +211,14 @@ def date_formats(texts: Sequence[str]) -> list[str]:
     return fit(fit(ways, some[:1]), some)
 
 
+def is_known_later(name: str) -> bool:
+    """Whether a column is no covariate, because it is known only after the action."""
+    return any(like.search(name) for like in (LIKE["ending"], END_TIME_LIKE, _OTHERS["later"]))
+
+
 def events_like(topics: Sequence[str]) -> dict[str, list[str]]:
     """The events of each key; one of an action's result is no action, and one of its beginning or end no ending."""
-    like = {key: [one for one in topics if re.search(words, one, re.IGNORECASE)] for key, words in EVENTS_LIKE.items()}
+    like = {key: list(filter(pattern.search, topics)) for key, pattern in EVENTS_LIKE.items()}
     for key, other in (("action", "reward"), ("trajectory", "action"), ("ending", "action")):
         like[key] = [one for one in like[key] if one not in like[other]] or like[key]
     return like

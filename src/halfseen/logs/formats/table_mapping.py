@@ -58,6 +58,11 @@ class Clock(msgspec.Struct, **Given):
         """The columns of a stage's begin time."""
         return [self.begin] if isinstance(self.begin, str) else self.begin or []
 
+    @property
+    def columns(self) -> list[tuple[str, str]]:
+        """All columns of times, each with the key that names it."""
+        return [("clock.field", name) for name in self.fields] + [("clock.begin", name) for name in self.begins]
+
 
 class Entry(msgspec.Struct, **Given):
     """Source of a value in a table."""
