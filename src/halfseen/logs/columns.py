@@ -67,6 +67,11 @@ def place(frame: pd.DataFrame, row: int, columns: tuple[str, ...] = ("trajectory
     return ", ".join(f"{column} {shown(value_at(frame, column, row))}" for column in columns)
 
 
+def first_true(is_so: np.ndarray) -> int | None:
+    """The first row in which something is so; None if there is none."""
+    return int(np.argmax(is_so)) if is_so.any() else None
+
+
 def refuse(
     frame: pd.DataFrame,
     wrong: np.ndarray,
@@ -74,8 +79,7 @@ def refuse(
     columns: tuple[str, ...] = ("trajectory", "stage"),
 ) -> None:
     """Raise for the first wrong row, if there is one; `trouble` may be a function of that row."""
-    if wrong.any():
-        row = int(np.argmax(wrong))
+    if (row := first_true(wrong)) is not None:
         raise LogError(f"{place(frame, row, columns)}: {trouble if isinstance(trouble, str) else trouble(row)}")
 
 
@@ -158,9 +162,7 @@ def as_floats(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
 def as_counts(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
     """Convert a column of whole numbers to int64."""
     numbers = as_floats(name, frame, column).to_numpy()
-    wrong = ~_is_whole(numbers)
-    if wrong.any():
-        row = int(np.argmax(wrong))
+    if (row := first_true(~_is_whole(numbers))) is not None:
         raise LogError(
             f"{name}, row {row}, {place(frame, row, ('trajectory',))}: {column} {numbers[row]} is not a whole "
             "number; number the stages of a trajectory 1, 2, 3, …"
@@ -182,9 +184,7 @@ def as_labels(name: str, frame: pd.DataFrame, column: str, *, is_null_allowed: b
     if not pd.api.types.is_float_dtype(values.dtype) or is_null.all():
         return values
     numbers = values.to_numpy(dtype=np.float64, na_value=np.nan)
-    wrong = ~is_null & ~_is_whole(numbers)
-    if wrong.any():
-        row = int(np.argmax(wrong))
+    if (row := first_true(~is_null & ~_is_whole(numbers))) is not None:
         is_large = abs(numbers[row]) >= LARGEST_FRACTION
         why = ", as floats from 2^53 on do not hold every whole number" if is_large else ""
         raise LogError(

@@ -12,7 +12,7 @@ import pyarrow.compute
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import LARGEST_FRACTION, refuse_repeated, shown
-from halfseen.reading import reason_of
+from halfseen.reading import refused
 
 compute: Any = pyarrow.compute
 _KEPT_IN_ARROW = re.compile(r"(dictionary|(large_|fixed_size_)?list|struct|map|double|float|halffloat)\b.*\[pyarrow\]")
@@ -51,13 +51,9 @@ def as_frame(name: str, data: object, own_columns: Collection[str] = ()) -> pd.D
     LogError
         The data are not a table, or a column mixes types.
     """
-    try:
+    # The pandas metadata of an Arrow table may be broken.
+    with refused(name, "not a table", "give a pandas frame, an Arrow table or a dict of arrays"):
         frame = data if isinstance(data, pd.DataFrame) else _from_other(data)
-    except (ValueError, TypeError, LookupError, AttributeError, pa.ArrowException) as error:
-        # The pandas metadata of an Arrow table may be broken.
-        raise LogError(
-            f"{name}: not a table ({reason_of(error)}); give a pandas frame, an Arrow table or a dict of arrays"
-        ) from error
     labels = [label for label in frame.columns if not isinstance(label, str)]
     if labels:
         raise LogError(f"{name}: column {labels[0]!r} has a name that is not text; rename it")

@@ -27,14 +27,14 @@ import numpy as np
 import pyarrow as pa
 
 from halfseen.errors import LogError, warn
-from halfseen.logs.columns import FINISHED, shown
+from halfseen.logs.columns import FINISHED, first_true, shown
 from halfseen.logs.formats.step_clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.step_tables import as_array, read_tables, whole_table
 from halfseen.logs.formats.steps import Ending, StepColumns, StepRules, StepTable, begins_of, refuse_early, require
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.logs.parquet import parquet_file
-from halfseen.reading import json_of, read_bytes, read_text, reason_of
+from halfseen.reading import json_of, read_bytes, read_text, refused
 from halfseen.shapes import Bool, Float, Int
 
 Line = TypeVar("Line")
@@ -131,10 +131,8 @@ class TaskLine(msgspec.Struct):
 
 def _info(file: Path) -> Info:
     remedy = "bring the dataset to v3 with LeRobot, or copy the whole dataset again"
-    try:
+    with refused(file, "it cannot be read", remedy):
         info = msgspec.convert(json_of(read_text(file)), Info)
-    except (OSError, ValueError) as error:
-        raise LogError(f"{file}: it cannot be read ({reason_of(error)}); {remedy}") from error
     if info.version not in DATA_OF:
         versions = " and ".join(DATA_OF)
         raise LogError(
@@ -277,9 +275,7 @@ def _check_stamps(steps: StepColumns, fps: float, begins: Int[np.ndarray, " E1"]
     stamps = steps.numbers(TIMESTAMP)
     first = np.repeat(begins[:-1], np.diff(begins))
     counted = (np.arange(len(stamps)) - first) / fps
-    wrong = ~(np.abs(stamps - stamps[first] - counted) < 0.5 / fps)
-    if wrong.any():
-        row = int(np.argmax(wrong))
+    if (row := first_true(~(np.abs(stamps - stamps[first] - counted) < 0.5 / fps))) is not None:
         raise LogError(
             f"{steps.place}, episode {shown(steps.columns[EPISODE][row])}: frame {row - first[row]} has the "
             f"{TIMESTAMP} {stamps[row]:g} s, and by {fps:g} frames a second it is {counted[row]:g} s; name {TIMESTAMP} "

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError, LogError, warn, within
-from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
+from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, first_true, shown
 from halfseen.logs.formats.step_clocks import refuse_counts, refuse_other_unit, refuse_rounded
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
@@ -124,9 +124,7 @@ class StepColumns:
         flat = self._flat(name)
         is_text = flat.ndim == 1 and flat.dtype == object
         numbers = _numbers_of_words(flat) if is_text else self.numbers(name, "done")
-        wrong = ~((numbers == 0) | (numbers == 1))
-        if wrong.any():
-            row = int(np.argmax(wrong))
+        if (row := first_true(~((numbers == 0) | (numbers == 1)))) is not None:
             raise LogError(f"{self.place}, row {row}: {name} is {shown(flat[row])}, neither true nor false; fix it")
         return numbers.astype(bool)
 
@@ -208,9 +206,9 @@ class StepTable:
         if not self.names:
             raise LogError(f"{place}: it has no episodes; a log has at least one trajectory")
         num_steps = np.add.reduceat(self.is_step, self.begins[:-1], dtype=np.int64)
-        if not num_steps.all():
-            name = self.names[int(np.argmin(num_steps))]
-            raise LogError(f"{place}, episode {shown(name)}: it has no step; leave the episode out")
+        if (without := first_true(num_steps == 0)) is not None:
+            name = shown(self.names[without])
+            raise LogError(f"{place}, episode {name}: it has no step; leave the episode out")
         end_s = self.ends_s[np.cumsum(num_steps) - 1]
         refuse_counts(place, self.ends_s, num_steps)
         ends: dict[str, Any] = {
