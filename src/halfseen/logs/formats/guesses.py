@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pandas as pd
 
@@ -204,7 +204,7 @@ def date_formats(texts: Sequence[str]) -> list[str]:
     days = [f"{day} {time}" for day in _DAYS for time in _TIMES]
     ways = [*days, *(f"{way}%z" for way in days), *_TIMES]
 
-    def fit(ways: list[str], texts: pd.Series) -> list[str]:
+    def fit(ways: list[str], texts: Any) -> list[str]:
         read = {way: pd.to_datetime(texts, format=way, errors="coerce", utc="%z" in way) for way in ways}
         return [way for way, dates in read.items() if dates.notna().all()]
 
