@@ -1,6 +1,7 @@
 """The tables of a log, converted to their types, sorted, and checked against every rule."""
 
 from collections.abc import Callable, Iterable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,7 @@ _TYPES: dict[str, Callable[[str, pd.DataFrame, str], pd.Series]] = {
     "name": lambda name, frame, column: as_labels(name, frame, column, is_null_allowed=False),
     "name or null": lambda name, frame, column: as_labels(name, frame, column, is_null_allowed=True),
 }
+_NUMBERS = ("end_s", "elapsed_s", "probability", "reward")
 
 
 def checked_trajectories(frame: pd.DataFrame) -> pd.DataFrame:
@@ -66,7 +68,7 @@ def checked_trajectories(frame: pd.DataFrame) -> pd.DataFrame:
     # Comparing a list in a cell with a string would be element-wise.
     words = trajectories["ending"].map(lambda ending: ending if isinstance(ending, str) else "").astype(object)
     is_cut, is_finished = (words.eq(word).to_numpy(dtype=bool) for word in (CUT, FINISHED))
-    values = trajectories.assign(is_cut=is_cut, is_finished=is_finished)
+    values = _values(trajectories, is_cut=is_cut, is_finished=is_finished)
     causes = [column for column in trajectories.columns if is_of_one_robot(column) and column.endswith("_cause")]
     rules = [
         *checks.TRAJECTORY_RULES,
@@ -107,14 +109,14 @@ def checked_stages(frame: pd.DataFrame, trajectories: pd.DataFrame) -> pd.DataFr
         )
     values = _stage_values(stages, trajectories, trajectory_row, num_stages)
     rules = [*map(checks.own_reward_rule, filter(is_own_reward, stages.columns)), *checks.COMPLETION_RULES]
-    if ROBOT in stages.columns:
+    if values.may_stand:
         rules[:0] = [
             checks.ROBOT_RULE,
             *(checks.drop_out_rules(robot)[1] for robot in robots_that_may_drop_out(trajectories)),
         ]
     _enforce(stages, values, checks.ORDER_RULES)
-    if ROBOT in stages.columns:
-        values = values.assign(**_two_at_one(stages, values, trajectory_row))
+    if values.may_stand:
+        _find_two_at_one(stages, values, trajectory_row)
     _enforce(stages, values, rules)
     return stages
 
@@ -155,7 +157,7 @@ def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, trajectories: pd.
     last = np.diff(np.append(first_row, len(stages)))
     trajectory_row = pd.Index(trajectories["trajectory"]).get_indexer(pd.Index(objects["trajectory"]))
     stage = objects["stage"].to_numpy()
-    values = objects.assign(trajectory_row=trajectory_row, last=last[trajectory_row])
+    values = _values(objects, stage=stage, trajectory_row=trajectory_row, last=last[trajectory_row])
     _enforce(objects, values, checks.OBJECT_RULES, OBJECT_COLUMNS)
     stage_row = first_row[trajectory_row] + stage - 1
     names = pd.Index(objects["object"]).unique().sort_values()
@@ -201,7 +203,15 @@ def _in_order(table: pd.DataFrame, order: np.ndarray, rows: np.ndarray) -> tuple
     return table.iloc[order].reset_index(drop=True), rows[order]
 
 
-def _stage_values(stages: pd.DataFrame, trajectories: pd.DataFrame, row: Any, num_stages: Any) -> pd.DataFrame:
+def _values(table: pd.DataFrame, **derived: Any) -> SimpleNamespace:
+    """Columns by name, numeric ones as arrays, and the derived values."""
+    columns = {str(name): column for name, column in table.items()}
+    # Own rewards of robots stay Series, so that messages write NaN as null.
+    numbers = {name: each.to_numpy() for name, each in columns.items() if name in _NUMBERS or name.endswith("_out_s")}
+    return SimpleNamespace(**{**columns, **numbers, **derived})
+
+
+def _stage_values(stages: pd.DataFrame, trajectories: pd.DataFrame, row: Any, num_stages: Any) -> SimpleNamespace:
     """Columns of sorted stages, and each stage's place in its trajectory; `row` is its row in trajectories."""
     last_row = np.cumsum(num_stages) - 1
     is_last = np.isin(np.arange(len(stages)), last_row)
@@ -209,11 +219,12 @@ def _stage_values(stages: pd.DataFrame, trajectories: pd.DataFrame, row: Any, nu
     elapsed_s, number = stages["elapsed_s"].to_numpy(), stages["stage"].to_numpy()
     before_s, end_s = np.append(0.0, elapsed_s[:-1]), trajectories["end_s"].to_numpy()[row]
     clocks = [f"{robot}_out_s" for robot in robots_that_may_drop_out(trajectories)]
-    return stages.assign(
-        probability=stages.get("probability", 1.0),
+    return _values(
+        stages if "probability" in stages.columns else stages.assign(probability=1.0),
         **{clock: trajectories[clock].to_numpy()[row] for clock in clocks},
         is_first=is_first,
         is_last=is_last,
+        stage=number,
         stage_before=np.append(0, number[:-1]),
         expected=np.arange(len(stages)) - (last_row - num_stages)[row],
         is_completed=~np.isnan(elapsed_s),
@@ -226,37 +237,41 @@ def _stage_values(stages: pd.DataFrame, trajectories: pd.DataFrame, row: Any, nu
     )
 
 
-def _two_at_one(stages: pd.DataFrame, values: pd.DataFrame, trajectory_row: Int[np.ndarray, " rows"]) -> dict[str, Any]:
-    """Where a robot begins with an object that another robot is at, which robot, and since when."""
-    decides_again_s = values["begin_s"].groupby([trajectory_row, stages[ROBOT]]).shift(-1).to_numpy()
+def _find_two_at_one(stages: pd.DataFrame, values: Any, trajectory_row: Int[np.ndarray, " rows"]) -> None:
+    """Add to `values` where a robot begins with an object that another robot is at, which robot, and since when."""
+    begin_s = pd.Series(values.begin_s, index=stages.index)
+    decides_again_s = begin_s.groupby([trajectory_row, stages[ROBOT]]).shift(-1).to_numpy()
     row = pd.Series(np.arange(len(stages)), index=stages.index)
     earlier = row.groupby([trajectory_row, stages["object"]]).shift(1)
     before = earlier.fillna(0).to_numpy(dtype=np.int64)
-    robot = stages[ROBOT].to_numpy()
-    still_s = decides_again_s[before] - values["begin_s"].to_numpy()
-    is_at_same = earlier.notna().to_numpy() & (robot != robot[before]) & (still_s > 0.0)
-    for at in map(int, np.flatnonzero(is_at_same)):
-        does = f"{robot[before[at]]}_does"
+    values.other, values.since = stages[ROBOT].iloc[before], values.stage[before]
+    is_other = stages[ROBOT].to_numpy() != values.other.to_numpy()
+    values.is_at_same = earlier.notna().to_numpy() & is_other & (decides_again_s[before] > values.begin_s)
+    for at in map(int, np.flatnonzero(values.is_at_same)):
+        does = f"{values.other.iloc[at]}_does"
         what = value_at(stages, does, at) if does in stages.columns else None
-        is_at_same[at] = not isinstance(what, str) or what.endswith(f" {value_at(stages, 'object', at)}")
-    return {"is_at_same": is_at_same, "other": robot[before], "since": stages["stage"].to_numpy()[before]}
+        has_let_go = isinstance(what, str) and not what.endswith(f" {value_at(stages, 'object', at)}")
+        values.is_at_same[at] = not has_let_go
+
+
+class _RowOf(dict):
+    """Values of a row by name, for messages: arrays give the number itself, columns the value as shown."""
+
+    def __init__(self, values: SimpleNamespace, row: int) -> None:
+        super().__init__()
+        self._values, self._row = vars(values), row
+
+    def __missing__(self, name: str) -> Any:
+        value = self._values[name]
+        return shown(value.iloc[self._row]) if isinstance(value, pd.Series) else value[self._row]
 
 
 def _enforce(
     table: pd.DataFrame,
-    values: pd.DataFrame,
+    values: SimpleNamespace,
     rules: Iterable[checks.Check],
     names: tuple[str, ...] = ("trajectory", "stage"),
 ) -> None:
-    """Refuse the first row that breaks a rule; values in messages are as in the table, and missing times nan."""
-
-    def of_row(row: int) -> dict[str, Any]:
-        is_raw = {name: values[name].dtype.kind == "f" and not is_own_reward(name) for name in values}
-        found = {name: value_at(values, name, row) for name in values}
-        return {name: value if is_raw[name] else shown(value) for name, value in found.items()}
-
     for rule in rules:
-        line = f"{rule.message}; {rule.remedy}"
-        refuse(
-            table, np.asarray(rule.is_wrong(values), bool), lambda row, line=line: line.format_map(of_row(row)), names
-        )
+        wrong, line = np.asarray(rule.is_wrong(values), dtype=bool), f"{rule.message}; {rule.remedy}"
+        refuse(table, wrong, lambda row, line=line: line.format_map(_RowOf(values, row)), names)

@@ -46,7 +46,7 @@ class Check(NamedTuple):
     """An invariant, with the message for rows that violate it."""
 
     is_wrong: Callable[[Any], Mask]
-    """Rows that violate the rule, from a frame of the table's columns and others derived from them."""
+    """Rows that violate the rule, from the table's columns and values derived from them."""
     message: str
     """The error; names in braces are replaced by values of the row."""
     remedy: str
@@ -82,7 +82,7 @@ ORDER_RULES = (
     # If two robots of a team are free at once, the stage between their decisions takes no time.
     Check(lambda s: s.is_completed & ~((s.elapsed_s < np.inf) & ((s.elapsed_s > 0) | s.may_stand & (s.elapsed_s == 0))),
          "elapsed_s {elapsed_s} is not a time after the trajectory's beginning", "fix the clock"),
-    Check(lambda s: ~s.may_stand & s.is_completed & ~s.is_first & (s.elapsed_s == s.before_s),
+    Check(lambda s: (not s.may_stand) & s.is_completed & ~s.is_first & (s.elapsed_s == s.before_s),
          "elapsed_s {elapsed_s} is also the {before_s} of stage {stage_before}", "sort the stages or fix the clock"),
     Check(lambda s: s.is_completed & ~s.is_first & (s.elapsed_s < s.before_s),
          "elapsed_s {elapsed_s} is before the {before_s} of stage {stage_before}", "sort the stages or fix the clock"),
@@ -114,14 +114,14 @@ COMPLETION_RULES = (
 OBJECT_RULES = (
     Check(lambda o: o.trajectory_row < 0,
          "trajectories does not list this trajectory", "add its row to trajectories, or drop its objects"),
-    Check(lambda o: (o.stage < 1) | (o.stage > o["last"]),
+    Check(lambda o: (o.stage < 1) | (o.stage > o.last),
          "the trajectory has stages 1 to {last}", "add the stage to stages, or drop its objects"),
 )
 
 
 def own_reward_rule(column: str) -> Check:
     """Rule for a robot's own reward in a stage."""
-    return Check(lambda s: ~np.where(s.is_completed, np.isfinite(s[column]), np.isnan(s[column])),
+    return Check(lambda s: ~np.where(s.is_completed, np.isfinite(vars(s)[column]), np.isnan(vars(s)[column])),
                 f"{column} is {{{column}}}",
                 "give a finite number for each completed stage, and null for one that was not, or leave it out")
 
@@ -129,7 +129,7 @@ def own_reward_rule(column: str) -> Check:
 def out_cause_rule(cause: str) -> Check:
     """Rule for the cause of a robot's drop-out."""
     clock, robot = cause.replace("_cause", "_s"), cause.split("_")[0]
-    return Check(lambda t: t[cause].notna().to_numpy() & np.isnan(t.get(clock, np.nan)),
+    return Check(lambda t: vars(t)[cause].notna().to_numpy() & np.isnan(vars(t).get(clock, np.nan)),
                 f"{cause} is given, yet {clock} is not", f"give the clock at which robot {robot} dropped out")
 
 
@@ -137,10 +137,10 @@ def drop_out_rules(robot: int) -> tuple[Check, Check]:
     """Rules for a robot that may drop out: one for its clock in trajectories, one for its decisions in stages."""
     clock = f"{robot}_out_s"
     return (
-        Check(lambda t: ~np.isnan(t[clock]) & ~((t[clock] > 0) & (t[clock] <= t.end_s)),
+        Check(lambda t: ~np.isnan(vars(t)[clock]) & ~((vars(t)[clock] > 0) & (vars(t)[clock] <= t.end_s)),
              f"{clock} {{{clock}}} lies outside the trajectory, which ends at {{end_s}} s",
              "fix it, or leave it null if the robot did not drop out before the end"),
-        Check(lambda s: s.robot.eq(robot).to_numpy(dtype=bool) & (s.begin_s > s[clock]),
+        Check(lambda s: s.robot.eq(robot).to_numpy(dtype=bool) & (s.begin_s > vars(s)[clock]),
              f"robot {robot} decides at {{begin_s}} s, yet dropped out at {{{clock}}} s",
              f"fix {clock} or the stage's robot"),
     )
