@@ -254,16 +254,10 @@ def _find_two_at_one(stages: pd.DataFrame, values: Any, trajectory_row: Int[np.n
         values.is_at_same[at] = not has_let_go
 
 
-class _RowOf(dict):
-    """Values of a row by name, for messages: arrays give the number itself, columns the value as shown."""
-
-    def __init__(self, values: SimpleNamespace, row: int) -> None:
-        super().__init__()
-        self._values, self._row = vars(values), row
-
-    def __missing__(self, name: str) -> Any:
-        value = self._values[name]
-        return shown(value.iloc[self._row]) if isinstance(value, pd.Series) else value[self._row]
+def _shown_row(values: SimpleNamespace, row: int) -> dict[str, Any]:
+    """Values of a row, for messages: arrays give the number itself, columns the value as shown."""
+    columns = {name: values for name, values in vars(values).items() if isinstance(values, pd.Series | np.ndarray)}
+    return {n: shown(v.iloc[row]) if isinstance(v, pd.Series) else v[row] for n, v in columns.items()}
 
 
 def _enforce(
@@ -274,4 +268,4 @@ def _enforce(
 ) -> None:
     for rule in rules:
         wrong, line = np.asarray(rule.is_wrong(values), dtype=bool), f"{rule.message}; {rule.remedy}"
-        refuse(table, wrong, lambda row, line=line: line.format_map(_RowOf(values, row)), names)
+        refuse(table, wrong, lambda row, line=line: line.format_map(_shown_row(values, row)), names)
