@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from halfseen.logs.columns import FINISHED, shown
-from halfseen.logs.formats.mapping import NUMBERS, Given, mapped, mapping_in, refuse_mapping
+from halfseen.logs.formats.mapping import NUMBERS, Given, Parts, mapping_in, refuse_mapping
 from halfseen.reading import read_text, toml_of
 
 
@@ -108,7 +108,7 @@ class Ending(Entry, **Given):
         return not isinstance(self.finished, list)
 
 
-class EventMapping(msgspec.Struct, **Given):
+class EventMapping(Parts[Entry], kw_only=True, **Given):
     """Mapping of the columns of a table; made by `read_event_mapping`.
 
     Parameters
@@ -130,21 +130,10 @@ class EventMapping(msgspec.Struct, **Given):
     """
 
     clock: Clock
-    action: Entry
-    reward: Entry
     ending: Ending
     topic: str | None = None
     wide: str | None = None
-    trajectory: Entry | None = None
-    object: Entry | None = None
-    probability: Entry | None = None
-    covariates: dict[str, Entry] = {}
     table: TextLayout = TextLayout()
-
-    @property
-    def entries(self) -> dict[str, Entry]:
-        """All mapped entries, in the order in which they apply within a row."""
-        return mapped(self)
 
     def column(self, key: str) -> str:
         """The column of a mapped entry."""
