@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.compute
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import LARGEST_FRACTION, refuse_repeated, shown
+from halfseen.logs.columns import COLUMNS, LARGEST_FRACTION, refuse_repeated, shown
 from halfseen.reading import refused
 
 compute: Any = pyarrow.compute
@@ -31,7 +31,7 @@ class ArrowStream(Protocol):
 FrameLike: TypeAlias = pd.DataFrame | ArrowStream | Mapping[str, Any]
 
 
-def as_frame(name: str, data: object, own_columns: Collection[str] = ()) -> pd.DataFrame:
+def as_frame(name: str, data: object) -> pd.DataFrame:
     """Copy a table into its stored form.
 
     The copy goes through Arrow, so that tables in memory and tables read back from disk have the same types: lists
@@ -40,11 +40,9 @@ def as_frame(name: str, data: object, own_columns: Collection[str] = ()) -> pd.D
     Parameters
     ----------
     name
-        Name of the table, for messages.
+        Name of the table; categories of its reserved columns are names, and keep their type.
     data
         A pandas frame, an Arrow table or a dict of arrays.
-    own_columns
-        Columns whose categories are names and keep their type.
 
     Raises
     ------
@@ -58,7 +56,7 @@ def as_frame(name: str, data: object, own_columns: Collection[str] = ()) -> pd.D
     if labels:
         raise LogError(f"{name}: column {labels[0]!r} has a name that is not text; rename it")
     refuse_repeated(name, list(frame.columns))
-    return through_arrow(name, _with_categories_of_text(frame, own_columns).copy())
+    return through_arrow(name, _with_categories_of_text(frame, COLUMNS.get(name, ())).copy())
 
 
 def through_arrow(name: str, frame: pd.DataFrame) -> pd.DataFrame:

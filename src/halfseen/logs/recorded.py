@@ -25,7 +25,7 @@ import pyarrow as pa
 
 from halfseen.errors import LogError, NothingRecordedError, within
 from halfseen.logs.checks import common_unit
-from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, is_own_reward, shown
+from halfseen.logs.columns import CUT, FINISHED, NUMBERS, ROBOT, STEPPED_BACK, is_own_reward, shown
 from halfseen.logs.journal import JournalEvents, following, is_being_recorded, journal_parts, tell_missing
 from halfseen.logs.missing import is_flag
 from halfseen.reading import reason_of
@@ -37,14 +37,7 @@ RESOLUTION_S = 1e-9
 """Resolution of a clock [s]; also the end of a trajectory that was interrupted before its clock moved."""
 CRASH, STILL_RUNNING, RESUMED = "crash", "still-running", "resumed"
 ROWS_A_CHUNK = 20_000
-_TYPES = {
-    "elapsed_s": pa.float64(),
-    "reward": pa.float64(),
-    "probability": pa.float64(),
-    "end_s": pa.float64(),
-    "cause": pa.string(),
-    STEPPED_BACK: pa.string(),
-}
+_TYPES = dict.fromkeys(NUMBERS, pa.float64()) | dict.fromkeys(("cause", STEPPED_BACK), pa.string())
 
 
 def journal_log(folder: Path) -> dict[str, Any]:
