@@ -11,13 +11,12 @@ import msgspec
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
+from halfseen.logs.folder import TEXT_FILES, WORKBOOKS
 from halfseen.logs.formats import guesses
 from halfseen.logs.formats.event_doubts import MISSING_TEXTS
 from halfseen.logs.formats.guesses import Guesses, are_numbers
 from halfseen.logs.formats.table_cells import (
     ROW,
-    TEXT_FILES,
-    WORKBOOKS,
     Cells,
     heading_of,
     kind_of_table,

@@ -22,6 +22,7 @@ import pyarrow as pa
 
 from halfseen.errors import ArgumentError, LogError, did_you_mean, warn
 from halfseen.logs.columns import refuse_repeated, shown
+from halfseen.logs.folder import JSON_LINES, TEXT_FILES, WORKBOOKS
 from halfseen.logs.formats.quotes import check_quotes
 from halfseen.logs.formats.step_tables import LAST, whole_table
 from halfseen.logs.formats.table_mapping import TextLayout
@@ -29,9 +30,8 @@ from halfseen.logs.formats.workbooks import rows_of_sheet
 from halfseen.logs.parquet import parquet_file
 from halfseen.reading import TABLE, check_file, check_unpacked, json_of, opened, reason_of, refused
 
-TEXT_FILES, TYPED_FILES, WORKBOOKS = (".csv", ".tsv", ".txt"), (".parquet",), (".xlsx", ".xlsm")
-OTHER_SHEETS = (".xls", ".xlsb", ".ods")
-JSON_LINES, PACKED = (".jsonl", ".ndjson"), ".gz"
+TYPED_FILES, OTHER_SHEETS = (".parquet",), (".xls", ".xlsb", ".ods")
+PACKED = ".gz"
 SEPARATORS = (";", ",", "\t", "|")
 ROW = "row"
 """Name of a first column that has none."""
