@@ -204,7 +204,7 @@ def test_fractions_that_round_whole_numbers_are_warned_of(read_parquet, kind, mo
         read_parquet(serial=np.array([1, -most, 2], kind))
 
 
-@pytest.mark.parametrize("cell", ["NaN", "n/a", "NULL", "-"])
+@pytest.mark.parametrize("cell", ["NaN", "n/a", "NULL", "-", "#VALUE!", "NaT"])
 def test_what_looks_missing_is_told_as_such(read_table, cell):
     told = rf"column 'seconds left': '{cell}' is not a number.* if it is missing, leave it empty, or set missing = "
     for old in ("9.5", "6.25"):

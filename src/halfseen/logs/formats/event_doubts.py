@@ -15,16 +15,12 @@ from halfseen.logs.formats.bags import Trajectory
 from halfseen.logs.formats.guesses import BEGIN_LIKE
 from halfseen.logs.formats.table_cells import Cells
 from halfseen.logs.formats.table_mapping import Clock, EventMapping
-from halfseen.logs.formats.table_values import NANOSECONDS, Stamps
+from halfseen.logs.formats.table_values import MISSING_TEXTS, NANOSECONDS, NO_CAUSES, Stamps
 from halfseen.suggestions import folded
 
 _ROUNDED = re.compile(r"-?\d([.,]\d+)?[eE]\+\d+")
 FEWEST_ON_ONE_CLOCK = 5
 """Number of trajectories that show that a clock runs on across trajectories."""
-MISSING_TEXTS = ("NA", "N/A", "n/a", "#N/A", "#NV", "NaN", "nan", "NULL", "null", "<NA>", "NaT", "#VALUE!", "#WERT!")
-"""Texts that R, pandas, databases and spreadsheets write for a missing value."""
-NO_CAUSES = ("None", "none", "nil", "-", "--", "---", "?")
-"""Texts that may be names, but no causes of a cut."""
 
 
 Groups: TypeAlias = Mapping[Any, list[int]]

@@ -13,7 +13,6 @@ from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
 from halfseen.logs.folder import TEXT_FILES, WORKBOOKS
 from halfseen.logs.formats import guesses
-from halfseen.logs.formats.event_doubts import MISSING_TEXTS
 from halfseen.logs.formats.guesses import Guesses, are_numbers
 from halfseen.logs.formats.table_cells import (
     ROW,
@@ -25,7 +24,7 @@ from halfseen.logs.formats.table_cells import (
     without_missing,
 )
 from halfseen.logs.formats.table_mapping import TextLayout
-from halfseen.logs.formats.table_values import TIME_OF_DAY, is_numeric, marks_of, thousands_mark
+from halfseen.logs.formats.table_values import MISSING_TEXTS, TIME_OF_DAY, is_numeric, marks_of, thousands_mark
 
 _NO_BEGIN = '# begin = "COLUMN"  # no column looks like it'
 
