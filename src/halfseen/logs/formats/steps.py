@@ -122,8 +122,10 @@ class StepColumns:
     def flags(self, name: str) -> Bool[np.ndarray, " N"]:
         """Truth values, also given as 1 and 0 or as text; anything else is refused."""
         flat = self._flat(name)
-        is_text = flat.ndim == 1 and flat.dtype == object
-        numbers = _numbers_of_words(flat) if is_text else self.numbers(name, "done")
+        if flat.ndim == 1 and flat.dtype == object:
+            numbers = np.array([_WORDS.get(str(value).lower(), np.nan) for value in flat], dtype=np.float64)
+        else:
+            numbers = self.numbers(name, "done")
         if (row := first_true(~((numbers == 0) | (numbers == 1)))) is not None:
             raise LogError(f"{self.place}, row {row}: {name} is {shown(flat[row])}, neither true nor false; fix it")
         return numbers.astype(bool)
@@ -132,7 +134,9 @@ class StepColumns:
         """Actions of the given rows, each one of finitely many: whole numbers (null as None) or text."""
         values, flat = self.columns[name], self._flat(name)[rows]
         if flat.ndim == 1 and flat.dtype.kind in "biu":
-            return self._whole_numbers(name, flat)
+            if flat.dtype.kind == "u" and (flat >= 2**63).any():
+                raise LogError(f"{self.place}: {name} is {flat.max()}, beyond 64-bit integers; give names as text")
+            return flat.astype(np.int64)
         if flat.ndim == 1 and flat.dtype == object and not _is_strange(flat):
             return flat
         if flat.ndim == 1 and flat.dtype.kind == "f":
@@ -165,11 +169,6 @@ class StepColumns:
         if passed_over:
             warn(self.place, f"{', '.join(passed_over)}: columns of a stage cannot hold it, so it is left out")
         return observed
-
-    def _whole_numbers(self, name: str, flat: np.ndarray) -> Int[np.ndarray, " M"]:
-        if flat.dtype.kind == "u" and (flat >= 2**63).any():
-            raise LogError(f"{self.place}: {name} is {flat.max()}, beyond 64-bit integers; give names as text")
-        return flat.astype(np.int64)
 
     def _flat(self, name: str) -> np.ndarray:
         values = self.columns[name]
@@ -297,11 +296,6 @@ def _first_text(values: np.ndarray) -> int | None:
     rows = [row for row, value in enumerate(values) if isinstance(value, str)]
     numbers: Any = pd.to_numeric(pd.Series([values[row] for row in rows], dtype=object), errors="coerce")
     return rows[int(np.argmax(np.isnan(numbers)))] if rows else None
-
-
-def _numbers_of_words(values: np.ndarray) -> Float[np.ndarray, " N"]:
-    """Truth values of text as 1 and 0; NaN for null and other text."""
-    return np.array([_WORDS.get(str(value).lower(), np.nan) for value in values], dtype=np.float64)
 
 
 def _is_strange(values: np.ndarray) -> bool:

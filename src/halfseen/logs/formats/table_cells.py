@@ -272,10 +272,8 @@ def _headed(
 
 def _trimmed(cells: list[str], least: int) -> list[str]:
     """Drop trailing empty cells, but keep at least `least` cells."""
-    end = len(cells)
-    while end > least and not cells[end - 1]:
-        end -= 1
-    return cells[:end]
+    last = max((k for k, cell in enumerate(cells) if cell), default=-1)
+    return cells[: max(last + 1, least)]
 
 
 def _checked(cells: Cells, names: list[str]) -> Cells:
