@@ -24,6 +24,7 @@ assignment, which Ctrl-C cannot split: it comes before both, and the event is th
 from collections.abc import Callable
 from dataclasses import replace
 from functools import reduce
+from itertools import count
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -200,10 +201,8 @@ class LogRecorder:
 
     def _next_name(self) -> int | str:
         is_text = self._journal.known.schema.labels.get("trajectory") == "text"
-        number = len(self._names) + 1
-        while (str(number) if is_text else number) in self._names:
-            number += 1
-        return str(number) if is_text else number
+        names = map(str if is_text else int, count(len(self._names) + 1))
+        return next(name for name in names if name not in self._names)
 
     def _restore(self, event: dict[str, Any]) -> None:
         """Update names and columns with one event of the existing journal."""

@@ -143,12 +143,11 @@ def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
 def _without_repeats(cells: Cells) -> Cells:
     """Drop events that repeat the row before, time included, as written by programs that send twice."""
     whole = list(zip(*cells.columns.values(), strict=True))
-    kept = [row for row, texts in enumerate(whole) if row == 0 or texts != whole[row - 1]]
-    if len(kept) == len(whole):
+    repeats = [row for row in range(1, len(whole)) if whole[row] == whole[row - 1]]
+    if not repeats:
         return cells
-    first = next(row for row, texts in enumerate(whole[1:], start=1) if texts == whole[row - 1])
-    num_repeats = len(whole) - len(kept)
-    warn(cells.place(first), f"it repeats the one before it; such rows are skipped: {num_repeats}")
+    warn(cells.place(repeats[0]), f"it repeats the one before it; such rows are skipped: {len(repeats)}")
+    kept = sorted({*range(len(whole))} - {*repeats})
     columns = {name: [texts[row] for row in kept] for name, texts in cells.columns.items()}
     return replace(cells, columns=columns, rows=[cells.rows[row] for row in kept])
 
