@@ -157,3 +157,11 @@ def test_what_a_store_refuses_is_told(error, store, monkeypatch):
     reason = str(error).splitlines()[0]
     with refused(rf"(^memory://fleet/flat: the store did not answer \(|cannot be read).*{reason}", LogError):
         read_logs(f"{store}/flat")
+
+
+@pytest.mark.parametrize("name", ["e.csv", "e.jsonl.gz", "e.ndjson.gz"])
+def test_tables_of_other_programs_are_told_how_to_be_read(tmp_path, name):
+    (tmp_path / name).touch()
+    for place in (tmp_path / name, tmp_path):
+        with refused(r"make a mapping of (it|its tables): halfseen convert .* --mapping-template --out", LogError):
+            read_logs(place)

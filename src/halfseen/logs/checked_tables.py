@@ -10,9 +10,11 @@ import pandas as pd
 from halfseen.errors import LogError
 from halfseen.logs import checks
 from halfseen.logs.columns import (
+    COLUMNS,
     CUT,
     FINISHED,
     NEEDED,
+    NUMBERS,
     OBJECT_COLUMNS,
     ROBOT,
     UNKNOWN_CAUSE,
@@ -28,6 +30,7 @@ from halfseen.logs.columns import (
     require_columns,
     robots_that_may_drop_out,
     shown,
+    type_of,
     value_at,
 )
 from halfseen.logs.missing import KEEP, Filling, Missing, learned_filling
@@ -39,7 +42,6 @@ _TYPES: dict[str, Callable[[str, pd.DataFrame, str], pd.Series]] = {
     "name": lambda name, frame, column: as_labels(name, frame, column, is_null_allowed=False),
     "name or null": lambda name, frame, column: as_labels(name, frame, column, is_null_allowed=True),
 }
-_NUMBERS = ("end_s", "elapsed_s", "probability", "reward")
 
 
 def checked_trajectories(frame: pd.DataFrame) -> pd.DataFrame:
@@ -190,7 +192,7 @@ def _typed(name: str, frame: pd.DataFrame, optional: str | None = None) -> pd.Da
     table = frame.copy(deep=False)
     if optional is not None and optional not in table.columns:
         table[optional] = pd.Series(None, index=table.index, dtype=object)
-    kinds = {column: checks.type_of(name, column) for column in (*checks.COLUMN_TYPES[name], *table.columns)}
+    kinds = {column: type_of(name, column) for column in (*COLUMNS[name], *table.columns)}
     for column, kind in kinds.items():
         if kind is not None and column in table.columns:
             table[column] = _TYPES[kind](name, table, column)
@@ -207,7 +209,7 @@ def _values(table: pd.DataFrame, **derived: Any) -> SimpleNamespace:
     """Columns by name, numeric ones as arrays, and the derived values."""
     columns = {str(name): column for name, column in table.items()}
     # Own rewards of robots stay Series, so that messages write NaN as null.
-    numbers = {name: each.to_numpy() for name, each in columns.items() if name in _NUMBERS or name.endswith("_out_s")}
+    numbers = {name: each.to_numpy() for name, each in columns.items() if name in NUMBERS or name.endswith("_out_s")}
     return SimpleNamespace(**{**columns, **numbers, **derived})
 
 
@@ -254,16 +256,10 @@ def _find_two_at_one(stages: pd.DataFrame, values: Any, trajectory_row: Int[np.n
         values.is_at_same[at] = not has_let_go
 
 
-class _RowOf(dict):
-    """Values of a row by name, for messages: arrays give the number itself, columns the value as shown."""
-
-    def __init__(self, values: SimpleNamespace, row: int) -> None:
-        super().__init__()
-        self._values, self._row = vars(values), row
-
-    def __missing__(self, name: str) -> Any:
-        value = self._values[name]
-        return shown(value.iloc[self._row]) if isinstance(value, pd.Series) else value[self._row]
+def _shown_row(values: SimpleNamespace, row: int) -> dict[str, Any]:
+    """Values of a row, for messages: arrays give the number itself, columns the value as shown."""
+    columns = {name: values for name, values in vars(values).items() if isinstance(values, pd.Series | np.ndarray)}
+    return {n: shown(v.iloc[row]) if isinstance(v, pd.Series) else v[row] for n, v in columns.items()}
 
 
 def _enforce(
@@ -274,4 +270,4 @@ def _enforce(
 ) -> None:
     for rule in rules:
         wrong, line = np.asarray(rule.is_wrong(values), dtype=bool), f"{rule.message}; {rule.remedy}"
-        refuse(table, wrong, lambda row, line=line: line.format_map(_RowOf(values, row)), names)
+        refuse(table, wrong, lambda row, line=line: line.format_map(_shown_row(values, row)), names)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, is_of_one_robot, is_own_reward, shown
+from halfseen.logs.columns import CUT, FINISHED, ROBOT, shown
 from halfseen.shapes import Bool
 
 EARLIEST_DATE_S = 1e9
@@ -26,18 +26,6 @@ ROUNDING = 1e-5
 LARGEST = 1e75
 """Fourth powers of larger numbers overflow a float."""
 
-
-# fmt: off
-COLUMN_TYPES = {
-    "trajectories": {"trajectory": "name", "end_s": "number", "cause": "name or null"},
-    "stages": {
-        "trajectory": "name", "stage": "count", "elapsed_s": "number", "probability": "number", "reward": "number",
-        "action": "name or null", "object": "name or null", ROBOT: "name", STEPPED_BACK: "name or null",
-    },
-    "objects": {"trajectory": "name", "stage": "count", "object": "name"},
-}
-"""Types of the reserved columns; `type_of` adds those of single robots."""
-# fmt: on
 
 Mask = Bool[np.ndarray, " rows"]
 
@@ -153,13 +141,6 @@ def thousandfold(one: Any, other: Any, tolerance: float = UNIT_TOLERANCE) -> Any
     with np.errstate(divide="ignore", invalid="ignore"):
         thousands = np.log(one / np.where(other == 0.0, np.nan, other)) / np.log(1000.0)
         return np.where(np.abs(thousands - np.round(thousands)) < tolerance, 1000.0 ** np.round(thousands), np.nan)
-
-
-def type_of(table: str, column: str) -> str | None:
-    """Type of a reserved column; None for others."""
-    if is_of_one_robot(column) and is_own_reward(column) == (table == "stages") and table != "objects":
-        return "name or null" if column.endswith("_out_cause") else "number"
-    return COLUMN_TYPES[table].get(column)
 
 
 MOST_UNIT_CHARS = 24

@@ -24,21 +24,27 @@ ARM, RULE = "arm", "rule"
 """Column of trajectories that a comparison dealt, and its value for those of the rule of today."""
 DECIDED_BY = "policy_digest"
 """Column of trajectories with the identifier of the policy in service that decided them."""
-STAGE_COLUMNS = ("trajectory", "stage", "elapsed_s", "action", "object", "reward", "probability", "robot", STEPPED_BACK)
-TRAJECTORY_COLUMNS = ("trajectory", "end_s", "ending", "cause")
-OBJECT_COLUMNS = ("trajectory", "stage", "object")
-_OWN = {"stages": STAGE_COLUMNS, "trajectories": TRAJECTORY_COLUMNS, "objects": OBJECT_COLUMNS}
-OWN_NAMES = frozenset((*STAGE_COLUMNS, *TRAJECTORY_COLUMNS, *OBJECT_COLUMNS))
-
-NEEDED = {
-    "stages": ("trajectory", "stage", "elapsed_s", "action", "reward"),
-    "trajectories": ("trajectory", "end_s", "ending"),
-    "objects": OBJECT_COLUMNS,
-}
-"""Required columns of each table."""
-
 ROBOT = "robot"
 """Column of the robot that decides in a stage; a log without it has one robot."""
+# fmt: off
+COLUMNS: dict[str, dict[str, str | None]] = {
+    "stages": {
+        "trajectory": "name", "stage": "count", "elapsed_s": "number", "action": "name or null",
+        "object": "name or null", "reward": "number", "probability": "number", ROBOT: "name",
+        STEPPED_BACK: "name or null",
+    },
+    "trajectories": {"trajectory": "name", "end_s": "number", "ending": None, "cause": "name or null"},
+    "objects": {"trajectory": "name", "stage": "count", "object": "name"},
+}
+"""Reserved columns of each table, and their types; `type_of` adds those of single robots."""
+# fmt: on
+_OPTIONAL = {"stages": ("object", "probability", ROBOT, STEPPED_BACK), "trajectories": ("cause",), "objects": ()}
+NEEDED = {name: tuple(each for each in of if each not in _OPTIONAL[name]) for name, of in COLUMNS.items()}
+"""Required columns of each table."""
+STAGE_COLUMNS, TRAJECTORY_COLUMNS, OBJECT_COLUMNS = map(tuple, COLUMNS.values())
+OWN_NAMES = frozenset(name for of in COLUMNS.values() for name in of)
+NUMBERS = [name for of in COLUMNS.values() for name, kind in of.items() if kind == "number"]
+"""Reserved columns of numbers."""
 FINISHED, CUT = "finished", "cut"
 UNKNOWN_CAUSE = "unknown"
 
@@ -67,6 +73,11 @@ def place(frame: pd.DataFrame, row: int, columns: tuple[str, ...] = ("trajectory
     return ", ".join(f"{column} {shown(value_at(frame, column, row))}" for column in columns)
 
 
+def first_true(is_so: np.ndarray) -> int | None:
+    """The first row in which something is so; None if there is none."""
+    return int(np.argmax(is_so)) if is_so.any() else None
+
+
 def refuse(
     frame: pd.DataFrame,
     wrong: np.ndarray,
@@ -74,8 +85,7 @@ def refuse(
     columns: tuple[str, ...] = ("trajectory", "stage"),
 ) -> None:
     """Raise for the first wrong row, if there is one; `trouble` may be a function of that row."""
-    if wrong.any():
-        row = int(np.argmax(wrong))
+    if (row := first_true(wrong)) is not None:
         raise LogError(f"{place(frame, row, columns)}: {trouble if isinstance(trouble, str) else trouble(row)}")
 
 
@@ -101,6 +111,13 @@ def robots_that_may_drop_out(trajectories: pd.DataFrame) -> list[int]:
     """Numbers of the robots whose dropouts the trajectories record."""
     found = (re.fullmatch(r"(\d+)_out_s", str(column)) for column in trajectories.columns)
     return sorted(int(each[1]) for each in found if each is not None)
+
+
+def type_of(table: str, column: str) -> str | None:
+    """Type of a reserved column; None for others."""
+    if is_of_one_robot(column) and is_own_reward(column) == (table == "stages") and table != "objects":
+        return "name or null" if column.endswith("_out_cause") else "number"
+    return COLUMNS[table].get(column)
 
 
 def is_stage_covariate(column: str) -> bool:
@@ -130,14 +147,14 @@ def refuse_misnamed(name: str, frame: pd.DataFrame) -> None:
 
     Either would be taken for a covariate, and its meaning would be lost.
     """
-    own = _OWN[name]
+    own = COLUMNS[name]
     for column in (column for column in frame.columns if column not in own):
         meant = column.strip().lower()
         if meant in own:
             raise LogError(
                 f"{name}: column {column!r} reads like {meant!r}, but is not that column; rename it {meant!r}"
             )
-        for owner in (table for table, columns in _OWN.items() if meant in columns):
+        for owner in (table for table, columns in COLUMNS.items() if meant in columns):
             raise LogError(f"{name}: column {column!r} belongs to {owner}; put it there, or rename it")
 
 
@@ -158,9 +175,7 @@ def as_floats(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
 def as_counts(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
     """Convert a column of whole numbers to int64."""
     numbers = as_floats(name, frame, column).to_numpy()
-    wrong = ~_is_whole(numbers)
-    if wrong.any():
-        row = int(np.argmax(wrong))
+    if (row := first_true(~_is_whole(numbers))) is not None:
         raise LogError(
             f"{name}, row {row}, {place(frame, row, ('trajectory',))}: {column} {numbers[row]} is not a whole "
             "number; number the stages of a trajectory 1, 2, 3, …"
@@ -182,9 +197,7 @@ def as_labels(name: str, frame: pd.DataFrame, column: str, *, is_null_allowed: b
     if not pd.api.types.is_float_dtype(values.dtype) or is_null.all():
         return values
     numbers = values.to_numpy(dtype=np.float64, na_value=np.nan)
-    wrong = ~is_null & ~_is_whole(numbers)
-    if wrong.any():
-        row = int(np.argmax(wrong))
+    if (row := first_true(~is_null & ~_is_whole(numbers))) is not None:
         is_large = abs(numbers[row]) >= LARGEST_FRACTION
         why = ", as floats from 2^53 on do not hold every whole number" if is_large else ""
         raise LogError(

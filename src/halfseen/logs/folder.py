@@ -86,8 +86,8 @@ def asking(place: Place) -> Iterator[None]:
         raise LogError(f"{place}: the store did not answer ({reason}); check the address and your access") from error
 
 
-FOREIGN_TABLES = (".csv", ".tsv", ".txt", ".jsonl", ".ndjson", ".csv.gz", ".tsv.gz", ".txt.gz", ".jsonl.gz")
-FOREIGN_TABLES += (".parquet", ".xlsx", ".xlsm")
+TEXT_FILES, JSON_LINES, WORKBOOKS = (".csv", ".tsv", ".txt"), (".jsonl", ".ndjson"), (".xlsx", ".xlsm")
+FOREIGN_TABLES = (*TEXT_FILES, *JSON_LINES, *(f"{each}.gz" for each in TEXT_FILES + JSON_LINES), ".parquet", *WORKBOOKS)
 """Files of other programs that `halfseen convert` turns into logs by a mapping."""
 PACKED = (".gz", ".zip", ".zst", ".bz2", ".xz", ".7z", ".tar", ".tgz")
 """Files that hold other files."""

@@ -11,8 +11,8 @@ import pyarrow as pa
 import pyarrow.compute
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import LARGEST_FRACTION, refuse_repeated, shown
-from halfseen.reading import reason_of
+from halfseen.logs.columns import COLUMNS, LARGEST_FRACTION, refuse_repeated, shown
+from halfseen.reading import refused
 
 compute: Any = pyarrow.compute
 _KEPT_IN_ARROW = re.compile(r"(dictionary|(large_|fixed_size_)?list|struct|map|double|float|halffloat)\b.*\[pyarrow\]")
@@ -31,7 +31,7 @@ class ArrowStream(Protocol):
 FrameLike: TypeAlias = pd.DataFrame | ArrowStream | Mapping[str, Any]
 
 
-def as_frame(name: str, data: object, own_columns: Collection[str] = ()) -> pd.DataFrame:
+def as_frame(name: str, data: object) -> pd.DataFrame:
     """Copy a table into its stored form.
 
     The copy goes through Arrow, so that tables in memory and tables read back from disk have the same types: lists
@@ -40,29 +40,23 @@ def as_frame(name: str, data: object, own_columns: Collection[str] = ()) -> pd.D
     Parameters
     ----------
     name
-        Name of the table, for messages.
+        Name of the table; categories of its reserved columns are names, and keep their type.
     data
         A pandas frame, an Arrow table or a dict of arrays.
-    own_columns
-        Columns whose categories are names and keep their type.
 
     Raises
     ------
     LogError
         The data are not a table, or a column mixes types.
     """
-    try:
+    # The pandas metadata of an Arrow table may be broken.
+    with refused(name, "not a table", "give a pandas frame, an Arrow table or a dict of arrays"):
         frame = data if isinstance(data, pd.DataFrame) else _from_other(data)
-    except (ValueError, TypeError, LookupError, AttributeError, pa.ArrowException) as error:
-        # The pandas metadata of an Arrow table may be broken.
-        raise LogError(
-            f"{name}: not a table ({reason_of(error)}); give a pandas frame, an Arrow table or a dict of arrays"
-        ) from error
     labels = [label for label in frame.columns if not isinstance(label, str)]
     if labels:
         raise LogError(f"{name}: column {labels[0]!r} has a name that is not text; rename it")
     refuse_repeated(name, list(frame.columns))
-    return through_arrow(name, _with_categories_of_text(frame, own_columns).copy())
+    return through_arrow(name, _with_categories_of_text(frame, COLUMNS.get(name, ())).copy())
 
 
 def through_arrow(name: str, frame: pd.DataFrame) -> pd.DataFrame:

@@ -124,10 +124,11 @@ class JournalEvents:
                     event = self._event(line)
                     self.num_lines += 1
                     self.num_bytes += len(line)
-                    if event is None:
-                        if not self._is_in_hole:
-                            yield HOLE
-                        self._leave_out()
+                    if event is None and self.holes and self.holes[-1][1] == self.num_lines - 1:
+                        self.holes[-1] = (self.holes[-1][0], self.num_lines)
+                    elif event is None:
+                        self.holes.append((self.num_lines, self.num_lines))
+                        yield HOLE
                     else:
                         self.reward_unit = self.reward_unit or event.get("reward_unit")
                         yield event
@@ -137,15 +138,6 @@ class JournalEvents:
             raise LogError(
                 f"{self.file}: all its lines fail their checksum, so it is not a journal or is lost; restore it"
             )
-
-    @property
-    def _is_in_hole(self) -> bool:
-        """Whether the line above the current one failed the check."""
-        return bool(self.holes) and self.holes[-1][1] >= self.num_lines - 1
-
-    def _leave_out(self) -> None:
-        first = self.holes.pop()[0] if self._is_in_hole else self.num_lines
-        self.holes.append((first, self.num_lines))
 
     def tell_holes(self) -> None:
         """Warn about lines that fail the check, in one line."""

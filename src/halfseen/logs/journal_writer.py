@@ -22,7 +22,7 @@ FSYNC: dict[str, Container[str]] = {
     "never": (),
     "trajectory": ("finished", "cut"),
     "stage": ("stage", "finished", "cut"),
-    "event": ("stage", "done", "running", "out", "finished", "cut"),
+    "event": ("resumed", "stage", "done", "running", "out", "finished", "cut"),
 }
 """Events after which to wait for the disk; all earlier events are then on it, too."""
 

@@ -15,8 +15,6 @@ from halfseen.logs.checked_tables import checked_objects, checked_stages, checke
 from halfseen.logs.checks import checked_unit
 from halfseen.logs.columns import (
     FINISHED,
-    OBJECT_COLUMNS,
-    STAGE_COLUMNS,
     TRAJECTORY_COLUMNS,
     is_stage_covariate,
     require_columns,
@@ -149,11 +147,11 @@ class Logs:
         missing: Missing = None,
     ) -> None:
         self.reward_unit = checked_unit(reward_unit)
-        ends = checked_trajectories(as_frame("trajectories", trajectories, TRAJECTORY_COLUMNS))
-        rows = checked_stages(as_frame("stages", stages, STAGE_COLUMNS), ends)
+        ends = checked_trajectories(as_frame("trajectories", trajectories))
+        rows = checked_stages(as_frame("stages", stages), ends)
         rows, filling = complete_stages(rows, missing)
         self.missing = KEEP if missing == KEEP else filling
-        there = None if objects is None else checked_objects(as_frame("objects", objects, OBJECT_COLUMNS), rows, ends)
+        there = None if objects is None else checked_objects(as_frame("objects", objects), rows, ends)
         self.objects = None if there is None else through_arrow("objects", there)
         self.trajectories, self.stages = through_arrow("trajectories", ends), through_arrow("stages", rows)
 

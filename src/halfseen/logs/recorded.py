@@ -25,7 +25,7 @@ import pyarrow as pa
 
 from halfseen.errors import LogError, NothingRecordedError, within
 from halfseen.logs.checks import common_unit
-from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, is_own_reward, shown
+from halfseen.logs.columns import CUT, FINISHED, NUMBERS, ROBOT, STEPPED_BACK, is_own_reward, shown
 from halfseen.logs.journal import JournalEvents, following, is_being_recorded, journal_parts, tell_missing
 from halfseen.logs.missing import is_flag
 from halfseen.reading import reason_of
@@ -37,14 +37,7 @@ RESOLUTION_S = 1e-9
 """Resolution of a clock [s]; also the end of a trajectory that was interrupted before its clock moved."""
 CRASH, STILL_RUNNING, RESUMED = "crash", "still-running", "resumed"
 ROWS_A_CHUNK = 20_000
-_TYPES = {
-    "elapsed_s": pa.float64(),
-    "reward": pa.float64(),
-    "probability": pa.float64(),
-    "end_s": pa.float64(),
-    "cause": pa.string(),
-    STEPPED_BACK: pa.string(),
-}
+_TYPES = dict.fromkeys(NUMBERS, pa.float64()) | dict.fromkeys(("cause", STEPPED_BACK), pa.string())
 
 
 def journal_log(folder: Path) -> dict[str, Any]:
@@ -82,11 +75,25 @@ def journal_log(folder: Path) -> dict[str, Any]:
 
 def tables_of(trajectories: Iterable["RecordedTrajectory"]) -> dict[str, Any]:
     """Collect the rows of ended trajectories as the arguments of `Logs`; empty if there are none."""
-    tables = {"stages": _Table(), "trajectories": _Table(), "objects": _Table()}
+    rows: dict[str, list[dict[str, Any]]] = {"stages": [], "trajectories": [], "objects": []}
+    chunks: dict[str, list[pa.Table]] = {name: [] for name in rows}
     for trajectory in trajectories:
-        for name, table in tables.items():
-            table.add(trajectory.rows[name])
-    built: dict[str, Any] = {name: table.build() for name, table in tables.items() if table}
+        for name, held in rows.items():
+            held += trajectory.rows[name]
+            if len(held) >= ROWS_A_CHUNK:
+                chunks[name].append(_packed(held))
+                held.clear()
+    for name, held in rows.items():
+        chunks[name] += [_packed(held)] if held else []
+    # A column may have whole numbers in one chunk and fractions in the next, or only empty lists at first.
+    try:
+        built: dict[str, Any] = {
+            name: pa.concat_tables(of, promote_options="permissive") for name, of in chunks.items() if of
+        }
+    except pa.ArrowException as error:
+        raise LogError(
+            f"its rows do not form a table ({reason_of(error)}); record one kind of value in a column"
+        ) from error
     stages = built.get("stages")
     if stages is not None and "probability" in stages.column_names:
         is_never_given = stages["probability"].null_count == stages.num_rows
@@ -237,37 +244,9 @@ class RecordedTrajectory:
         self._done = None
 
 
-class _Table:
-    """Rows collected for Arrow."""
-
-    def __init__(self) -> None:
-        self._rows: list[dict[str, Any]] = []
-        self._chunks: list[pa.Table] = []
-
-    def __bool__(self) -> bool:
-        return bool(self._rows or self._chunks)
-
-    def add(self, rows: Iterable[dict[str, Any]]) -> None:
-        self._rows.extend(rows)
-        if len(self._rows) >= ROWS_A_CHUNK:
-            self._pack()
-
-    def build(self) -> pa.Table:
-        if self._rows:
-            self._pack()
-        # A column may have whole numbers in one chunk and fractions in the next, or only empty lists at first.
-        try:
-            return pa.concat_tables(self._chunks, promote_options="permissive")
-        except pa.ArrowException as error:
-            raise LogError(
-                f"its rows do not form a table ({reason_of(error)}); record one kind of value in a column"
-            ) from error
-
-    def _pack(self) -> None:
-        names = dict.fromkeys(name for row in self._rows for name in row)
-        columns = {name: _column(name, [row.get(name) for row in self._rows]) for name in names}
-        self._chunks.append(pa.table(columns))
-        self._rows = []
+def _packed(rows: list[dict[str, Any]]) -> pa.Table:
+    names = dict.fromkeys(name for row in rows for name in row)
+    return pa.table({name: _column(name, [row.get(name) for row in rows]) for name in names})
 
 
 def _column(name: str, values: list[Any]) -> pa.Array:

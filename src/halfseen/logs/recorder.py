@@ -21,8 +21,10 @@ The recorder's state is replaced as a whole, never changed in place. An event an
 assignment, which Ctrl-C cannot split: it comes before both, and the event is then rolled back, or after both.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
+from functools import reduce
+from itertools import count
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -162,10 +164,11 @@ class LogRecorder:
         is_read = any(event["event"] == "done" and not event.get("is_given") for event in self._torn)
         if not self._torn or is_read or self._trajectory is not None:
             return None
-        known, state = self._journal.known, _state_after(self._torn)
-        columns, more = self._torn[0]["columns"], (self._check, self._keeps_events)
-        trajectory = TrajectoryRecorder(self._journal, state.name, columns, known.schema, *more)
-        self._journal.append({"event": RESUMED, "trajectory": state.name}, replace(known, trajectory=state))
+        known, name, columns = self._journal.known, self._torn[0]["trajectory"], self._torn[0]["columns"]
+        trajectory = TrajectoryRecorder(self._journal, name, columns, known.schema, self._check, self._keeps_events)
+        state = reduce(TrajectoryState.after, self._torn, TrajectoryState(name, number=1))
+        state = replace(state, is_given=True, noted_s=0.0, events=tuple(self._torn))
+        self._journal.append({"event": RESUMED, "trajectory": name}, replace(known, trajectory=state))
         self._trajectory = trajectory
         return trajectory
 
@@ -198,10 +201,8 @@ class LogRecorder:
 
     def _next_name(self) -> int | str:
         is_text = self._journal.known.schema.labels.get("trajectory") == "text"
-        number = len(self._names) + 1
-        while (str(number) if is_text else number) in self._names:
-            number += 1
-        return str(number) if is_text else number
+        names = map(str if is_text else int, count(len(self._names) + 1))
+        return next(name for name in names if name not in self._names)
 
     def _restore(self, event: dict[str, Any]) -> None:
         """Update names and columns with one event of the existing journal."""
@@ -229,20 +230,3 @@ def torn_by(events: list[dict[str, Any]], event: dict[str, Any]) -> list[dict[st
         case "stage" | "done" | "running" | "out" if events:
             events.append(event)
     return events
-
-
-def _state_after(events: Sequence[dict[str, Any]]) -> TrajectoryState:
-    """State of a trajectory from its events in a journal; its clock is given from now on."""
-    last = next(event for event in reversed(events) if event["event"] == "stage")
-    done = [event for event in events if event["event"] == "done"]
-    return TrajectoryState(
-        name=last["trajectory"],
-        number=1,
-        stage=last["stage"],
-        is_in_stage=not done or events.index(done[-1]) < events.index(last),
-        has_action="action" in last,
-        at_s=max(event.get("at_s", 0.0) for event in events),
-        is_given=True,
-        completed_s=done[-1]["at_s"] if done else 0.0,
-        events=tuple(events),
-    )

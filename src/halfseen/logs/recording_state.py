@@ -177,17 +177,13 @@ class TrajectoryState:
         """Read the machine's clock [s], rounded to nanoseconds; strictly increasing, however coarse that clock is."""
         return max(round(time.monotonic() - self.began_s, 9), round(self.at_s + RESOLUTION_S, 9))
 
-    def after(self, at_s: float, elapsed_s: Any, **changed: Any) -> "TrajectoryState":
-        """The state after an event at a time given as `elapsed_s` or, if that is None, read."""
-        return replace(self, at_s=at_s, is_given=elapsed_s is not None, **changed)
-
-    def time_of(self, elapsed_s: Any, where: str, *, is_later: bool = False) -> float:
-        """Time of an event [s], given or, if None, read. It must not precede (or must follow) the last event."""
+    def timed(self, elapsed_s: Any, where: str, *, is_later: bool = False) -> "TrajectoryState":
+        """The state at an event whose time is given or, if None, read; no time precedes (or equals) the last one."""
         if self.is_given not in (None, elapsed_s is not None):
             word = "missing" if elapsed_s is None else "given"
             raise LogError(f"{where}: elapsed_s is {word}, unlike before in this trajectory; give it always or never")
         if elapsed_s is None:
-            return self.read_s()
+            return replace(self, at_s=self.read_s(), is_given=False)
         at_s = checked_number(elapsed_s, "elapsed_s", where, _CLOCK_REMEDY)
         trouble = None
         if at_s < self.at_s or (is_later and at_s == self.at_s):
@@ -198,11 +194,26 @@ class TrajectoryState:
             trouble = "is a date, or not in seconds"
         if trouble is not None:
             raise LogError(f"{where}: elapsed_s {at_s} {trouble}; {_CLOCK_REMEDY}")
-        return at_s
+        return replace(self, at_s=at_s, is_given=True)
+
+    def after(self, event: dict[str, Any]) -> "TrajectoryState":
+        """The state after an event."""
+        state = replace(self, at_s=event.get("at_s", self.at_s))
+        match event["event"]:
+            case "stage":
+                has_action, noted_s = "action" in event, state.at_s
+                return replace(state, stage=event["stage"], is_in_stage=True, has_action=has_action, noted_s=noted_s)
+            case "done":
+                return replace(state, is_in_stage=False, completed_s=state.at_s)
+            case "running":
+                return replace(state, noted_s=state.at_s)
+            case "finished" | "cut":
+                return replace(state, is_in_stage=False, is_ended=True)
+        return state
 
     def end_s(self, elapsed_s: Any, where: str) -> float:
         """Time of the trajectory's end [s]; if the clock is given and this time is not, that of the last event."""
-        return self.at_s if self.is_given and elapsed_s is None else self.time_of(elapsed_s, where)
+        return self.at_s if self.is_given and elapsed_s is None else self.timed(elapsed_s, where).at_s
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from halfseen.logs.columns import CUT, FINISHED, STEPPED_BACK, shown
 from halfseen.logs.journal_writer import JournalWriter
 from halfseen.logs.logs import Logs
 from halfseen.logs.recorded import CRASH, STILL_RUNNING, followed, tables_of
-from halfseen.logs.recording_state import RecordingState, Schema, TrajectoryState, checked_number, checked_text
+from halfseen.logs.recording_state import Schema, TrajectoryState, checked_number, checked_text
 
 CAUSES = ("operator", "emergency-stop", "time-out", "battery", "sensor-lost", CRASH)
 """Usual causes of cuts; any other text is accepted."""
@@ -50,15 +50,15 @@ class TrajectoryRecorder:
         check: Callable[[Logs], object] | None,
         keeps_events: bool,
     ) -> None:
-        known = journal.known
+        before = journal.known.trajectory
         self.name = name
         self._journal = journal
         self._columns = columns
         self._trajectory_schema = schema
         self._check = check
         self._keeps_events = keeps_events or check is not None
-        self._number = 1 if known.trajectory is None else known.trajectory.number + 1
-        journal.known = replace(known, trajectory=TrajectoryState(name, self._number))
+        self._number = 1 if before is None else before.number + 1
+        self._keep(TrajectoryState(name, self._number))
 
     @property
     def is_ended(self) -> bool:
@@ -119,13 +119,13 @@ class TrajectoryRecorder:
             A stage is in progress, or a log does not accept a value. With several robots also: two are at one
             object, or one that dropped out decides.
         """
-        state, recorded = self._running(), self._journal.known
+        state = self._running()
         where = self._where(state.stage + 1)
         if state.is_in_stage:
             raise LogError(
                 f"{self._where(state.stage)}: it is in progress; call complete_stage() before the next begins"
             )
-        schema = recorded.schema if state.stage else self._trajectory_schema
+        schema = self._journal.known.schema if state.stage else self._trajectory_schema
         chosen = {"robot": robot, "action": action, "object": object, "probability": probability}
         chosen |= {STEPPED_BACK: stepped_back}
         schema, seen = schema.with_stage(covariates or {}, objects, chosen, where)
@@ -135,10 +135,7 @@ class TrajectoryRecorder:
             event |= {"at_s": 0.0, "columns": self._columns}
         elif not state.is_given:
             event["at_s"] = state.read_s()
-        at_s = event.get("at_s", state.at_s)
-        begun = replace(state, stage=state.stage + 1, is_in_stage=True, has_action=action is not None)
-        begun = replace(begun, at_s=at_s, noted_s=at_s)
-        self._write(event | seen, replace(recorded, schema=schema), begun, is_news=True)
+        self._write(event | seen, state, is_news=True, schema=schema)
 
     def complete_stage(self, reward: Any, *, elapsed_s: Any = None, own_rewards: Any = ()) -> None:
         """Complete the stage in progress.
@@ -159,7 +156,7 @@ class TrajectoryRecorder:
             No stage is in progress, a reward is not a number or beyond 1e75, a robot's reward is missing, or the clock
             does not advance; with several robots it may stand still.
         """
-        state, recorded = self._running(), self._journal.known
+        state = self._running()
         where = self._where(state.stage)
         if not state.is_in_stage:
             what = "no stage has begun" if state.stage == 0 else f"stage {state.stage} is completed already"
@@ -170,11 +167,9 @@ class TrajectoryRecorder:
         if abs(earned) > LARGEST:
             raise LogError(f"{where}: reward is {earned:g}; give rewards in another unit")
         shares = self._checked_shares(own_rewards, where)
-        at_s = state.time_of(elapsed_s, where, is_later=not recorded.schema.has_robot)
-        event = {"event": "done", "at_s": at_s, "reward": earned} | ({"own_rewards": shares} if shares else {})
-        event |= {} if elapsed_s is None else {"is_given": True}
-        completed = state.after(at_s, elapsed_s, is_in_stage=False, completed_s=at_s)
-        self._write(event, replace(recorded, num_shares=len(shares)), completed)
+        state = state.timed(elapsed_s, where, is_later=not self._journal.known.schema.has_robot)
+        event = {"event": "done", "at_s": state.at_s, "reward": earned} | ({"own_rewards": shares} if shares else {})
+        self._write(event | ({"is_given": True} if state.is_given else {}), state, num_shares=len(shares))
 
     def _checked_shares(self, own_rewards: Any, where: str) -> list[float]:
         """Rewards of the robots as numbers, for as many robots as in the stages before."""
@@ -220,9 +215,8 @@ class TrajectoryRecorder:
             raise LogError(f"{where}: robot {shown(number)} is not a robot's number; give 0, 1, …")
         if any(event["event"] == "out" and event["robot"] == number for event in state.events):
             raise LogError(f"{where}: robot {number} has already dropped out, which is final")
-        at_s = state.time_of(elapsed_s, where)
-        event = {"event": "out", "at_s": at_s, "robot": number, "cause": cause}
-        self._write(event, self._journal.known, state.after(at_s, elapsed_s), is_news=True)
+        state = state.timed(elapsed_s, where)
+        self._write({"event": "out", "at_s": state.at_s, "robot": number, "cause": cause}, state, is_news=True)
 
     def still_running(self, *, elapsed_s: Any = None) -> None:
         """Note that the trajectory is in progress; call it from the control loop. It writes at most twice a second.
@@ -230,15 +224,14 @@ class TrajectoryRecorder:
         After a crash the trajectory is then known to have run until the last call, not only until its last stage began.
         This pays off if crashes are frequent and stages long: see `halfseen.logs.recorded`.
         """
-        state, recorded = self._running(), self._journal.known
+        state = self._running()
         if state.stage == 0:
             return
-        at_s = state.time_of(elapsed_s, self._where(state.stage))
-        runs = state.after(at_s, elapsed_s)
-        if at_s >= state.noted_s + STILL_RUNNING_EVERY_S:
-            self._write({"event": "running", "at_s": at_s}, recorded, replace(runs, noted_s=at_s))
+        state = state.timed(elapsed_s, self._where(state.stage))
+        if state.at_s >= state.noted_s + STILL_RUNNING_EVERY_S:
+            self._write({"event": "running", "at_s": state.at_s}, state)
         else:
-            self._journal.known = replace(recorded, trajectory=runs)
+            self._keep(state)
 
     def finish(self, *, elapsed_s: Any = None) -> None:
         """End the trajectory because the task ended: it was finished, the table is cleared, the horizon is reached.
@@ -288,17 +281,18 @@ class TrajectoryRecorder:
         self._end({"event": CUT, "cause": cause}, state, elapsed_s)
 
     def _end(self, event: dict[str, Any], state: TrajectoryState, elapsed_s: Any) -> None:
-        recorded, ended = self._journal.known, replace(state, is_ended=True, is_in_stage=False)
         if state.stage == 0:
-            self._journal.known = replace(recorded, trajectory=ended)
-            return
-        at_s = state.end_s(elapsed_s, self._where(state.stage))
-        self._write({**event, "at_s": at_s}, recorded, ended)
+            self._keep(state.after(event))
+        else:
+            self._write({**event, "at_s": state.end_s(elapsed_s, self._where(state.stage))}, state)
 
-    def _write(
-        self, event: dict[str, Any], recorded: RecordingState, state: TrajectoryState, *, is_news: bool = False
-    ) -> None:
+    def _keep(self, state: TrajectoryState) -> None:
+        """Store a state without an event."""
+        self._journal.known = replace(self._journal.known, trajectory=state)
+
+    def _write(self, event: dict[str, Any], state: TrajectoryState, *, is_news: bool = False, **changed: Any) -> None:
         """Write an event; if the trajectory is checked as it grows, the check may first refuse an event with news."""
+        state, recorded = state.after(event), replace(self._journal.known, **changed)
         if self._keeps_events or recorded.schema.has_robot:
             state = replace(state, events=(*state.events, event))
             if is_news and (self._check is not None or recorded.schema.has_robot):

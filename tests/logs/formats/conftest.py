@@ -1,7 +1,9 @@
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from bags import WITHOUT_CLOUD, mapping_for, tables_of, write_bag, write_mcap
-from halfseen.logs.formats import read_bag, read_event_table
+from halfseen.logs.formats import mapping_of, read_bag, read_event_table
 
 
 @pytest.fixture
@@ -40,11 +42,28 @@ def read_mcap(tmp_path, mapping):
 
 @pytest.fixture
 def read_table(tmp_path):
-    """Read text by a mapping."""
+    """Read text, or a table as Parquet, by a mapping."""
 
-    def write_and_read(text, mapping, encoding="utf-8", name="events.csv"):
-        (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode(encoding))
+    def write_and_read(content, mapping, encoding="utf-8", name="events.csv", missing=None):
+        file = tmp_path / ("t.parquet" if isinstance(content, pa.Table) else name)
+        if isinstance(content, pa.Table):
+            pq.write_table(content, file)
+        else:
+            file.write_bytes(content if isinstance(content, bytes) else content.encode(encoding))
         (tmp_path / "cell.toml").write_text(mapping, encoding="utf-8")
-        return read_event_table(tmp_path / name, tmp_path / "cell.toml")
+        return read_event_table(file, tmp_path / "cell.toml", missing=missing)
 
     return write_and_read
+
+
+@pytest.fixture
+def draft(tmp_path):
+    """Draft the mapping of a text; these lines are in it."""
+
+    def write_and_draft(text, *lines, encoding="utf-8"):
+        (tmp_path / "draft.csv").write_text(text, encoding=encoding)
+        made = mapping_of(tmp_path / "draft.csv")
+        assert [line for line in lines if line not in made.splitlines()] == []
+        return made
+
+    return write_and_draft

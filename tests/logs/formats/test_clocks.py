@@ -1,6 +1,7 @@
 """Seconds count from the beginning of each trajectory, whatever a source counts from."""
 
 import warnings
+from contextlib import nullcontext
 from itertools import pairwise
 
 import numpy as np
@@ -71,60 +72,49 @@ def test_times_of_observations_say_when_each_began(tmp_path, read, counted):
     assert (logs.elapsed_s().tolist(), logs.end_s.tolist()) == ([EACH] * 3, [1.5] * 3)
 
 
+def of_ends(begins):
+    return [[begin + time for time in EACH] for begin in begins]
+
+
+@pytest.mark.parametrize("counted", ["each at 0", "running on"])
 @pytest.mark.parametrize("read", [of_d4rl, of_minari])
-def test_times_of_ends_of_steps_begin_at_0_or_where_the_episode_before_ended(tmp_path, read):
-    (tmp_path / "each").mkdir()
-    logs = read(tmp_path / "each", [EACH] * 3)
+def test_times_of_ends_of_steps_begin_at_0_or_where_the_episode_before_ended(tmp_path, read, counted):
+    told = r"t is later .* 2 of 2 times: each begins when the one before ended.*up to 0\.5 s"
+    with pytest.warns(HalfseenWarning, match=told) if counted == "running on" else nullcontext():
+        logs = read(tmp_path, of_ends(BEGINS[counted]))
     assert (logs.elapsed_s().tolist(), logs.end_s.tolist()) == ([EACH] * 3, [1.5] * 3)
 
 
-@pytest.mark.parametrize("read", [of_d4rl, of_minari])
-def test_a_clock_of_steps_that_runs_on_is_parted_at_the_ends(tmp_path, read):
-    times = [[begin + time for time in EACH] for begin in BEGINS["running on"]]
-    wording = r"t is later .* 2 of 2 times: each begins when the one before ended.*up to 0\.5 s"
-    with pytest.warns(HalfseenWarning, match=wording):
-        logs = read(tmp_path, times)
-    assert (logs.elapsed_s().tolist(), logs.end_s.tolist()) == ([EACH] * 3, [1.5] * 3)
+OF_STEPS, OF_OBSERVATIONS = [of_d4rl, of_minari], [of_rlds, of_minari]
+COUNTED = r"steps last \S+e\+\d+ s by its clock, in whole numbers, as if it counted nano.*--step-s"
+FINER = r"t is 1\.7e\+\d+, which is no date in seconds, but may be one in milliseconds or a finer unit"
+ROUNDED = np.float32(1.7e9) + np.array([0.0, 130.0, 260.0, 390.0], dtype=np.float32)
+REFUSED = [
+    (OF_STEPS, of_ends(BEGINS["of the calendar"]), r"episode 0: by t its first step would last 1\.7e\+09 s"),
+    (OF_STEPS, of_ends([0.0, 99.0, 101.0]),
+     r"episode 1: by t its first step would last 98 s, but no later step lasts more than 0\.5 s"),
+    # It begins again, though not everywhere.
+    (OF_STEPS, of_ends([0.0, 1.5, 0.0]), r"episode 1: by t its first step would last 2 s"),
+    *(([read], [[per_s * time for time in times]] * 3, COUNTED)
+      for per_s in (1e9, 4e6)
+      for read, times in ((of_d4rl, EACH), *((read, [0.0, *EACH]) for read in (of_rlds, of_lerobot, of_minari)))),
+    *((OF_OBSERVATIONS, [[per_s * (1.7e9 + time) for time in (0.0, *EACH)]] * 3, FINER) for per_s in (1e3, 1e6, 1e9)),
+    (OF_OBSERVATIONS, [list(ROUNDED)] * 3,
+     r"t holds float32, which rounds its times to multiples of 128 s, and steps last 128 s; write it as"),
+]  # fmt: skip
+"""By readers: times that do not tell when a step ended, and what is told of them."""
 
 
-@pytest.mark.parametrize("read", [of_d4rl, of_minari])
 @pytest.mark.parametrize(
-    ("begins", "wording"),
-    [
-        (BEGINS["of the calendar"], r"episode 0: by t its first step would last 1\.7e\+09 s"),
-        (
-            [0.0, 99.0, 101.0],
-            r"episode 1: by t its first step would last 98 s, but no later step lasts more than 0\.5 s",
-        ),
-        ([0.0, 1.5, 0.0], r"episode 1: by t its first step would last 2 s"),  # begins again, though not everywhere
-    ],
+    ("read", "times", "told"), [(read, times, told) for readers, times, told in REFUSED for read in readers]
 )
-def test_a_beginning_that_nobody_can_tell_is_refused(tmp_path, read, begins, wording):
-    with refused(wording):
-        read(tmp_path, [[begin + time for time in EACH] for begin in begins])
+def test_a_clock_that_does_not_tell_seconds_is_refused(tmp_path, read, times, told):
+    with refused(told, LogError):
+        read(tmp_path, times)
 
 
-@pytest.mark.parametrize("read", [of_rlds, of_lerobot, of_minari, of_d4rl])
-@pytest.mark.parametrize("per_s", [1e9, 4e6])
-def test_a_clock_in_nanoseconds_or_microseconds_is_refused(tmp_path, read, per_s):
-    times = [0.0, *EACH] if read is not of_d4rl else EACH
-    with refused(r"steps last \S+e\+\d+ s by its clock, in whole numbers, as if it counted nano.*--step-s", LogError):
-        read(tmp_path, [[per_s * time for time in times]] * 3)
-
-
-@pytest.mark.parametrize("read", [of_rlds, of_minari])
-@pytest.mark.parametrize("per_s", [1e3, 1e6, 1e9])
-def test_a_date_in_a_finer_unit_than_seconds_is_refused(tmp_path, read, per_s):
-    with refused(r"t is 1\.7e\+\d+, which is no date in seconds, but may be one in milliseconds or a finer unit"):
-        read(tmp_path, [[per_s * (1.7e9 + time) for time in (0.0, *EACH)]] * 3)
-
-
-@pytest.mark.parametrize("read", [of_rlds, of_minari])
-def test_a_clock_that_single_precision_rounds_is_refused(tmp_path, read):
-    ends = np.float32(1.7e9) + np.array([0.0, 130.0, 260.0, 390.0], dtype=np.float32)
-    with refused(r"t holds float32, which rounds its times to multiples of 128 s, and steps last 128 s; write it as"):
-        read(tmp_path, [list(ends)] * 3)
-    refuse_rounded("a", "t", ends - ends[0])
+def test_single_precision_holds_times_of_a_clock_that_begins_at_0():
+    refuse_rounded("a", "t", ROUNDED - ROUNDED[0])
 
 
 def test_a_first_step_that_outlasts_the_episode_before_is_believed_and_told():

@@ -4,7 +4,6 @@ import datetime
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from event_files import AMERICAN, BEGUN, GERMAN, GERMAN_STAGES, HISTORIAN, PLC, STAGES, WIDE, ends, stages
@@ -56,13 +55,11 @@ def test_dates_without_a_year_do_not_run_on_over_a_new_year(read_table):
         read_table(text.format("01.01."), mapping)
 
 
-def test_days_of_a_spreadsheet_are_a_unit_and_guessed_as_such(read_table, tmp_path):
+def test_days_of_a_spreadsheet_are_a_unit_and_guessed_as_such(read_table, draft):
     # 0.00005787037 days are 5 s, to a millionth of a second.
     text = "von;bis;Lauf;Griff;Ertrag;Abbruch\n45961,5;45961,50005787037;7;Sauger;2,5;\n"
     text += "45961,75;45961,7502;8;Zange;;Halt\n"
-    (tmp_path / "events.csv").write_text(text)
-    made = mapping_of(tmp_path / "events.csv")
-    assert 'unit = "d"  # guess: s, ms, us, ns, min, h or d' in made.splitlines()
+    made = draft(text, 'unit = "d"  # guess: s, ms, us, ns, min, h or d')
     logs = read_table(text, made)
     assert logs.end_s.round(4).tolist() == [5.0, 17.28]
     assert logs.trajectories["cause"].tolist() == [None, "Halt"]
@@ -174,10 +171,9 @@ WHOLE = {
 }
 
 
-def read_parquet(folder, missing=None, **columns):
-    pq.write_table(pa.table(WHOLE | columns), folder / "t.parquet")
-    (folder / "cell.toml").write_text(STAGES)
-    return read_event_table(folder / "t.parquet", folder / "cell.toml", missing=missing)
+@pytest.fixture
+def read_parquet(read_table):
+    return lambda missing=None, **columns: read_table(pa.table(WHOLE | columns), STAGES, missing=missing)
 
 
 @pytest.mark.parametrize(
@@ -189,26 +185,26 @@ def read_parquet(folder, missing=None, **columns):
         [b"\xff"] * 3,
     ],
 )
-def test_a_column_without_a_text_form_is_passed_over_unless_it_is_mapped(tmp_path, values):
-    assert ends(read_parquet(tmp_path, more=values)) == [("a", 4.0, "finished", None), ("b", 2.5, "cut", "operator")]
+def test_a_column_without_a_text_form_is_passed_over_unless_it_is_mapped(read_parquet, tmp_path, values):
+    assert ends(read_parquet(more=values)) == [("a", 4.0, "finished", None), ("b", 2.5, "cut", "operator")]
     told = [line for line in mapping_of(tmp_path / "t.parquet").splitlines() if "which is not read" in line]
     assert len(told) == 1
     assert told[0].startswith("# Column 'more' holds ")
     for column, key in (("seconds left", r"covariates\.left\.field"), ("ms", r"clock\.field")):
         with refused(rf"cell\.toml, {key}: column '{column}' of .* holds (list|struct|duration|binary)", ArgumentError):
-            read_parquet(tmp_path, **{column: values})
+            read_parquet(**{column: values})
 
 
 @pytest.mark.parametrize(("kind", "most", "step"), [("float32", 2.0**24, 2), ("float64", 2.0**53, 2)])
-def test_fractions_that_round_whole_numbers_are_warned_of(tmp_path, kind, most, step):
-    assert len(ends(read_parquet(tmp_path, serial=np.array([1, most - 1, 2], kind)))) == 2
+def test_fractions_that_round_whole_numbers_are_warned_of(read_parquet, kind, most, step):
+    assert len(ends(read_parquet(serial=np.array([1, most - 1, 2], kind)))) == 2
     with pytest.warns(
         HalfseenWarning, match=rf"column 'serial': it holds {kind}, which rounds .* multiples of {step};"
     ):
-        read_parquet(tmp_path, serial=np.array([1, -most, 2], kind))
+        read_parquet(serial=np.array([1, -most, 2], kind))
 
 
-@pytest.mark.parametrize("cell", ["NaN", "n/a", "NULL", "-"])
+@pytest.mark.parametrize("cell", ["NaN", "n/a", "NULL", "-", "#VALUE!", "NaT"])
 def test_what_looks_missing_is_told_as_such(read_table, cell):
     told = rf"column 'seconds left': '{cell}' is not a number.* if it is missing, leave it empty, or set missing = "
     for old in ("9.5", "6.25"):
@@ -242,22 +238,19 @@ Datum;Uhrzeit;Anlage;Meldung;Text;Wert
 """Events whose name is first of an order, then of what happened, beside a column that is always the same."""
 
 
-def test_the_mapping_of_events_passes_over_a_column_that_never_changes(read_table, tmp_path):
-    (tmp_path / "events.csv").write_text(ORDERS)
-    made = mapping_of(tmp_path / "events.csv").replace('# values = {"gut" = 1.0}', 'values = {"gut" = 2.0}')
+def test_the_mapping_of_events_passes_over_a_column_that_never_changes(read_table, draft):
+    made = draft(ORDERS).replace('# values = {"gut" = 1.0}', 'values = {"gut" = 2.0}')
     logs = read_table(ORDERS, made.replace("# zone", "zone"))
     assert ends(logs) == [("A1", 5.0, "finished", None), ("A2", 3.0, "cut", "Not-Halt")]
     assert stages(logs, "GEWICHT") == [("A1", 1, 4.0, "Sauger", 2.0, 1.25), ("A2", 1, None, "Zange", None, 1.5)]
 
 
-def test_stages_side_by_side_are_told_of_in_the_mapping(tmp_path):
-    (tmp_path / "t.csv").write_text("Nr;Griff 1;Dauer 1;Griff 2;Dauer 2\n1;Sauger;1,5;Zange;2,5\n2;Zange;2,5;;\n")
+def test_stages_side_by_side_are_told_of_in_the_mapping(draft):
     told = "wide = \"{name} {stage}\"  # guess: 'Griff', 'Dauer' are by stage"
-    assert told in mapping_of(tmp_path / "t.csv").splitlines()
+    draft("Nr;Griff 1;Dauer 1;Griff 2;Dauer 2\n1;Sauger;1,5;Zange;2,5\n2;Zange;2,5;;\n", told)
     joints = "run,joint_1,joint_2,tool_1,tool_2,action,t\na,1,2,x,y,go,1\na,1,2,y,x,go,2\n"
     for text in (WIDE, PLC, joints):
-        (tmp_path / "t.csv").write_text(text)
-        assert "wide = " not in mapping_of(tmp_path / "t.csv")
+        assert "wide = " not in draft(text)
 
 
 def test_a_controllers_events_begin_trajectories_in_many_files_too(read_files):
@@ -267,15 +260,13 @@ def test_a_controllers_events_begin_trajectories_in_many_files_too(read_files):
 
 
 @pytest.mark.parametrize("words", [("true", "false"), ("True", "False"), ("TRUE", "FALSE")])
-def test_truth_values_are_no_categories(read_table, tmp_path, words):
+def test_truth_values_are_no_categories(read_table, read_parquet, words):
     yes, no = words
     text = WIDE.replace("9.5", yes).replace(",8,", f",{no},")
     logs = read_table(text.replace("6.25", no), STAGES)
     assert logs.stages["left"].dtype == bool
     assert logs.stages["left"].tolist() == [True, False, True, False]
-    assert (
-        read_parquet(tmp_path, **{"seconds left": [True, False, None]}, missing=KEEP).stages["left"].isna().sum() == 1
-    )
+    assert read_parquet(**{"seconds left": [True, False, None]}, missing=KEEP).stages["left"].isna().sum() == 1
     as_text = read_table(text.replace("6.25", no), STAGES.replace('left"}', 'left", type = "text"}'))
     assert as_text.stages["left"].tolist() == [yes, no, yes, no]
 
@@ -316,9 +307,8 @@ def test_times_of_few_digits_are_warned_of(read_table, cell):
         ("176440500{}.5", 'unit = "s"  # guess: s, ms, us, ns, min, h or d'),
     ],
 )
-def test_times_of_other_programs_are_guessed(tmp_path, time, line):
-    (tmp_path / "t.csv").write_text(f"run;time;tool;worth\n1;{time.format(0)};a;1\n1;{time.format(5)};b;2\n")
-    assert line in mapping_of(tmp_path / "t.csv").splitlines()
+def test_times_of_other_programs_are_guessed(draft, time, line):
+    draft(f"run;time;tool;worth\n1;{time.format(0)};a;1\n1;{time.format(5)};b;2\n", line)
 
 
 def test_one_byte_of_another_encoding_does_not_change_all_other_letters(read_table):

@@ -19,7 +19,7 @@ from event_files import (
     write_events,
 )
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
-from halfseen.logs.formats import mapping_of, read_event_mapping, read_event_table
+from halfseen.logs.formats import read_event_mapping, read_event_table
 from refusals import refused
 
 
@@ -253,49 +253,42 @@ def test_files_of_no_table_are_refused(read_table, tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "utf-16"])
-def test_the_mapping_that_is_made_from_a_table_reads_it(read_table, tmp_path, encoding):
-    (tmp_path / "events.csv").write_bytes(GERMAN.encode(encoding))
-    made = mapping_of(tmp_path / "events.csv")
-    for line in (
+def test_the_mapping_that_is_made_from_a_table_reads_it(read_table, draft, encoding):
+    made = draft(
+        GERMAN,
         "topic = \"Ereignis\"  # guess: such as 'Gewicht' and 'Griff'",
         'separator = ";"  # guess',
         'decimal = ","  # guess: decimal mark, "," or "."',
         f'encoding = "{encoding}"  # guess: utf-8, cp1252, utf-16, shift_jis, gbk, …',
         "field = \"Lauf\"  # guess: such as '7' and '8'",
         "field = \"Text\"  # guess: such as 'fertig' and 'Not-Halt'",
-    ):
-        assert line in made.splitlines()
+        encoding=encoding,
+    )
     logs = read_table(GERMAN, made, encoding)
     assert [row[:3] for row in ends(logs)] == [row[:3] for row in GERMAN_ENDS]
     assert logs.trajectories["cause"].tolist()[1:] == ["Not-Halt", "log ended"]
     assert logs.stages["Gewicht"].tolist() == [0.5, 0.75, 1.0, 1.5]
 
 
-def test_a_mapping_of_stages_and_of_a_plc_only_lacks_what_nobody_can_guess(read_table, tmp_path):
-    (tmp_path / "wide.csv").write_text(WIDE)
-    made = mapping_of(tmp_path / "wide.csv")
-    assert 'unit = "ms"  # guess: s, ms, us, ns, min, h or d' in made
-    assert 'since = "trajectory"  # guess: numbers count from there, or from the "stage"' in made.splitlines()
+def test_a_mapping_of_stages_and_of_a_plc_only_lacks_what_nobody_can_guess(read_table, draft):
+    since = 'since = "trajectory"  # guess: numbers count from there, or from the "stage"'
+    made = draft(WIDE, 'unit = "ms"  # guess: s, ms, us, ns, min, h or d', since)
     assert ends(read_table(WIDE, made)) == [("a", 4.0, "finished", None), ("b", 2.5, "cut", "operator")]
-    (tmp_path / "plc.csv").write_text(PLC)
-    made = mapping_of(tmp_path / "plc.csv")
-    assert '# values = {"OK" = 1.0, "NOK" = 1.0}  # what each earns' in made.splitlines()
+    made = draft(PLC, '# values = {"OK" = 1.0, "NOK" = 1.0}  # what each earns')
     made = made.replace('# values = {"OK" = 1.0, "NOK" = 1.0}', "values = {OK = 1, NOK = -0.5}")
     logs = read_table(PLC, made[: made.index("[covariates.MODE]")] + made[made.index("[covariates.LOOK]") :])
     assert ends(logs) == [(1, 4.0, "finished", None), (2, 4.0, "cut", "log ended")]
     assert logs.stages["reward"].tolist()[:2] == [1.0, -0.5]
 
 
-def test_a_mapping_names_both_orders_of_day_and_month(tmp_path):
-    (tmp_path / "us.csv").write_text(american("03/04/2025"))
-    made = mapping_of(tmp_path / "us.csv").splitlines()
+def test_a_mapping_names_both_orders_of_day_and_month(draft):
+    made = draft(american("03/04/2025")).splitlines()
     at = made.index("# The order of day and month cannot be guessed; choose one:")
     assert made[at + 1 : at + 3] == [
         '# format = "%d/%m/%Y %H:%M:%S"  # guess',
         '# format = "%m/%d/%Y %H:%M:%S"  # guess',
     ]
-    (tmp_path / "us.csv").write_text(american("03/14/2025"))
-    assert 'format = "%m/%d/%Y %H:%M:%S"  # guess' in mapping_of(tmp_path / "us.csv").splitlines()
+    draft(american("03/14/2025"), 'format = "%m/%d/%Y %H:%M:%S"  # guess')
 
 
 def test_a_covariate_is_numbers_or_text_as_it_begins_or_as_it_is_said(read_table):

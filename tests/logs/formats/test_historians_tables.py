@@ -4,7 +4,6 @@ import pytest
 
 from event_files import AMERICAN, GERMAN, GERMAN_ENDS, GERMAN_STAGES, HISTORIAN, STAGES, WIDE, ends, stages
 from halfseen.errors import HalfseenWarning
-from halfseen.logs.formats import mapping_of
 from refusals import refused
 
 MIDNIGHT = """\
@@ -29,13 +28,15 @@ MIDNIGHT_ENDS = [(1, 16.0, "finished", None), (2, 1.0, "cut", "log ended")]
 
 
 @pytest.mark.parametrize("is_newest_first", [False, True])
-def test_times_of_day_run_on_over_midnight(read_table, tmp_path, is_newest_first):
+def test_times_of_day_run_on_over_midnight(read_table, draft, is_newest_first):
     heading, *rows = MIDNIGHT.replace("22:10", "17:10").splitlines(keepends=True)
     text = heading + "".join(rows[::-1] if is_newest_first else rows)
-    (tmp_path / "events.csv").write_text(text, encoding="utf-8-sig")
-    made = mapping_of(tmp_path / "events.csv")
-    for line in ('format = "%H:%M:%S,%f"  # guess', 'thousands = "."  # guess: between groups of three digits'):
-        assert line in made.splitlines()
+    made = draft(
+        text,
+        'format = "%H:%M:%S,%f"  # guess',
+        'thousands = "."  # guess: between groups of three digits',
+        encoding="utf-8-sig",
+    )
     with pytest.warns(HalfseenWarning, match="times have no date, so those that fall back past midnight"):
         logs = read_table(text, made, "utf-8-sig")
     assert stages(logs, "Poids") == MIDNIGHT_STAGES
@@ -43,9 +44,8 @@ def test_times_of_day_run_on_over_midnight(read_table, tmp_path, is_newest_first
 
 
 @pytest.mark.filterwarnings("ignore:.*times have no date")
-def test_times_of_day_that_leave_the_day_open_are_refused(read_table, tmp_path):
-    (tmp_path / "events.csv").write_text(MIDNIGHT)
-    made = mapping_of(tmp_path / "events.csv")
+def test_times_of_day_that_leave_the_day_open_are_refused(read_table, draft):
+    made = draft(MIDNIGHT)
     with refused(r"line 9, column 'Heure': '22:10:00,0' comes after '00:00:06,5'.* name the column of dates"):
         read_table(MIDNIGHT, made)
     with refused(r"clock: the format has no day, which zone and begin need"):
@@ -72,17 +72,15 @@ Datum;Uhrzeit;Ereignis;Greifer;Gewicht [g];Ergebnis
 """Lines above the heading, date and time of day in two columns; the last trajectory breaks off between stages."""
 
 
-def test_dates_and_times_of_day_in_two_columns_below_other_lines(read_table, tmp_path):
-    (tmp_path / "events.csv").write_text(SPLIT)
-    made = mapping_of(tmp_path / "events.csv")
-    for line in (
+def test_dates_and_times_of_day_in_two_columns_below_other_lines(read_table, draft):
+    made = draft(
+        SPLIT,
         "heading = 4  # guess: the line that names the columns",
         'thousands = "."  # guess: between groups of three digits',
         "field = [\"Datum\", \"Uhrzeit\"]  # guess: such as '03.11.2025 23:59:58.250' and '04.11.2025 00:00:03.750'",
         'format = "%d.%m.%Y %H:%M:%S.%f"  # guess',
         '# values = {"i.O." = 1.0, "n.i.O." = 1.0}  # what each earns',
-    ):
-        assert line in made.splitlines()
+    )
     made = made.replace('# zone = "Europe', 'zone = "Europe')
     with refused(r"line 8, column 'Ergebnis': 'i\.O\.' is not a number .*set values"):
         read_table(SPLIT, made)
@@ -110,16 +108,14 @@ Datum;Beginn;Ende;Auftrag;Greifer;Gewicht [kg];Ertrag;Abbruch
 """One row a stage, with times of day of its beginning and its end."""
 
 
-def test_a_stage_begins_and_ends_at_times_of_day_of_one_date(read_table, tmp_path):
-    (tmp_path / "events.csv").write_text(WORKS)
-    made = mapping_of(tmp_path / "events.csv")
-    for line in (
+def test_a_stage_begins_and_ends_at_times_of_day_of_one_date(read_table, draft):
+    made = draft(
+        WORKS,
         "field = [\"Datum\", \"Ende\"]  # guess: such as '03.11.2025 23:59:48' and '03.11.2025 23:59:53'",
         "begin = [\"Datum\", \"Beginn\"]  # guess: such as '03.11.2025 23:59:40' and '03.11.2025 23:59:50'",
         "field = \"Abbruch\"  # guess: such as 'Not-Halt'",
         'finished = [""]  # guess: endings that are not cuts, "" for an empty cell',
-    ):
-        assert line in made.splitlines()
+    )
     made = made.replace('# zone = "Europe', 'zone = "Europe')
     logs = read_table(WORKS, made)
     assert stages(logs, "Gewicht [kg]") == [
@@ -231,10 +227,8 @@ Charge;Start_ms;Ende_ms;Greifer;p;Verdeckung;Ertrag;Abschluss;Fehlertext
 """One row a stage, all of one clock, with outcomes beside what was seen."""
 
 
-def test_what_is_known_only_after_an_action_is_guessed_as_no_covariate(read_table, tmp_path):
-    (tmp_path / "events.csv").write_text(SPANS)
-    made = mapping_of(tmp_path / "events.csv")
-    assert "# [covariates.Fehlertext]" in made.splitlines()
+def test_what_is_known_only_after_an_action_is_guessed_as_no_covariate(read_table, draft):
+    made = draft(SPANS, "# [covariates.Fehlertext]")
     assert 'values = {"0,9876"' not in made
     logs = read_table(SPANS, made)
     assert stages(logs, "Verdeckung", "probability") == [
@@ -245,6 +239,5 @@ def test_what_is_known_only_after_an_action_is_guessed_as_no_covariate(read_tabl
     assert list(logs.stage_covariates) == ["Verdeckung"]
 
 
-def test_dates_with_an_offset_are_guessed_as_times(tmp_path):
-    (tmp_path / "events.csv").write_text(GERMAN.replace("2025-10-26T", "26.10.2025 ").replace("58,5", "58"))
-    assert 'format = "%d.%m.%Y %H:%M:%S%z"  # guess' in mapping_of(tmp_path / "events.csv").splitlines()
+def test_dates_with_an_offset_are_guessed_as_times(draft):
+    draft(GERMAN.replace("2025-10-26T", "26.10.2025 ").replace("58,5", "58"), 'format = "%d.%m.%Y %H:%M:%S%z"  # guess')

@@ -4,12 +4,10 @@ import warnings
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from event_files import STAGES, WIDE, ends, stages
 from halfseen.errors import HalfseenWarning
-from halfseen.logs.formats import mapping_of, read_event_table
 from halfseen.suggestions import alike
 from refusals import refused
 
@@ -33,13 +31,13 @@ def seen(*cells):
 
 
 @pytest.mark.parametrize("offset", ["+02", "+0200", "+02:00"])
-def test_an_offset_may_be_of_whole_hours(read_table, tmp_path, offset):
+def test_an_offset_may_be_of_whole_hours(read_table, draft, offset):
     """PostgreSQL and DuckDB write timestamptz so."""
     text = dated(f"2025-10-26 02:59:50.25{offset}", f"2025-10-26 02:00:10.5{offset.replace('2', '1')}")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert ends(read_table(text, DATED.replace("FORMAT", ""))) == [("a", 20.25, "finished", None)]
-    assert 'field = "end"' in mapping_of(tmp_path / "events.csv")
+    assert 'field = "end"' in draft(text)
 
 
 def test_a_zone_is_not_read_from_its_name(read_table):
@@ -49,11 +47,11 @@ def test_a_zone_is_not_read_from_its_name(read_table):
         read_table(text, DATED.replace("FORMAT", ', format = "%Y-%m-%d %H:%M:%S %Z"'))
 
 
-def test_the_index_of_pandas_and_r_is_a_column(read_table, tmp_path):
+def test_the_index_of_pandas_and_r_is_a_column(read_table, draft):
     heading, *rows = WIDE.splitlines(keepends=True)
     text = f'"",{heading}' + "".join(f"{k},{row}" for k, row in enumerate(rows))
     assert stages(read_table(text, STAGES), "left") == stages(read_table(WIDE, STAGES, name="plain.csv"), "left")
-    assert "row" not in [line.split("=")[0].strip(" []") for line in mapping_of(tmp_path / "events.csv").splitlines()]
+    assert "row" not in [line.split("=")[0].strip(" []") for line in draft(text).splitlines()]
     by_row = read_table(text.replace(",", ";"), PLAIN.replace('field = "run"', 'field = "row"'))
     assert by_row.trajectories["trajectory"].tolist() == [0, 1, 2, 3]
 
@@ -93,7 +91,7 @@ def test_flags_are_words_of_other_languages_too(read_table):
         assert [row[2:] for row in ends(read_table(text, mapping))] == [("finished", None), ("cut", "log ended")]
 
 
-def test_a_whole_number_that_no_float_holds_is_refused(read_table, tmp_path):
+def test_a_whole_number_that_no_float_holds_is_refused(read_table):
     large = 2**53 + 1
     with refused(rf"line 2, column 'c': '{large}' is a whole number that no float holds; if it is a name, set type"):
         read_table(seen(large, large - 1), SEEN)
@@ -108,9 +106,8 @@ def test_a_whole_number_that_no_float_holds_is_refused(read_table, tmp_path):
         "stop": [""],
         "c": pa.array([2**63 + 1], pa.uint64()),
     }
-    pq.write_table(pa.table(columns), tmp_path / "t.parquet")
     with refused(rf"row 1, column 'c': '{2**63 + 1}' is a whole number that no float holds"):
-        read_event_table(tmp_path / "t.parquet", tmp_path / "cell.toml")
+        read_table(pa.table(columns), SEEN)
 
 
 EVENTS = """
@@ -166,16 +163,14 @@ def test_a_clock_that_was_not_set_is_refused(read_table, time):
 
 
 @pytest.mark.parametrize("column", ["run", "tool"])
-def test_names_that_a_type_rounded_are_refused(tmp_path, column):
+def test_names_that_a_type_rounded_are_refused(read_table, column):
     columns = {"run": ["a"] * 3, "tool": ["x"] * 3, "ms": [1, 2, 3], "worth": [1.0] * 3, "stop": [""] * 3}
     columns[column] = pa.array(np.array([2**24, 2**24 + 2, 2**24 + 4], np.float32))
-    pq.write_table(pa.table(columns), tmp_path / "t.parquet")
-    (tmp_path / "cell.toml").write_text(PLAIN)
     with (
         pytest.warns(HalfseenWarning, match="which rounds 16777220 to multiples of 2"),
         refused(rf"row 1, column '{column}': '16777216' is a rounded number that may stand for several names"),
     ):
-        read_event_table(tmp_path / "t.parquet", tmp_path / "cell.toml")
+        read_table(pa.table(columns), PLAIN)
 
 
 @pytest.mark.parametrize(

@@ -30,20 +30,18 @@ ENDS = [
 SEEN = PATIENTS.replace('"low",NA', '"low",3.5')
 
 
-def test_a_trial_of_one_row_a_patient(read_table, tmp_path):
+def test_a_trial_of_one_row_a_patient(read_table, draft):
     logs = read_table(SEEN, TRIAL)
     assert (stages(logs, "age", "sofa"), ends(logs)) == (OF_PATIENTS, ENDS)
-    made = mapping_of(tmp_path / "events.csv")
-    assert "wide = \"{name}.{stage}\"  # guess: 'dose', 'sofa', 'day' are by stage" in made.splitlines()
+    made = draft(SEEN, "wide = \"{name}.{stage}\"  # guess: 'dose', 'sofa', 'day' are by stage")
     again = read_table(SEEN, made)
     assert (stages(again, "age", "sofa"), ends(again)) == (OF_PATIENTS, ENDS)
 
 
-def test_the_guess_of_names_prefers_those_of_patients_to_numbers_of_rows(tmp_path):
+def test_the_guess_of_names_prefers_those_of_patients_to_numbers_of_rows(draft):
     heading, *rows = SEEN.replace('"age"', '"site"').replace('"id"', '"patient"').splitlines()
     lines = [f'"",{heading}', *(f"{k},{row}".replace(",50,", f",s{k},") for k, row in enumerate(rows))]
-    (tmp_path / "trial.csv").write_text("\n".join(lines))
-    made = mapping_of(tmp_path / "trial.csv").splitlines()
+    made = draft("\n".join(lines)).splitlines()
     assert made[made.index("[trajectory]") + 1].startswith('field = "patient"  # guess')
 
 
@@ -60,10 +58,10 @@ def by_name(pattern):
     "pattern",
     ["{name}_{stage}", "{name}{stage}", "{name} {stage}", "{name}_t{stage}", "{stage}_{name}", "V{stage}.{name}"],
 )
-def test_columns_by_stage_have_any_pattern(read_table, tmp_path, pattern):
+def test_columns_by_stage_have_any_pattern(read_table, draft, pattern):
     logs = read_table(by_name(pattern), TRIAL.replace("{name}.{stage}", pattern))
     assert (stages(logs, "age", "sofa"), ends(logs)) == (OF_PATIENTS, ENDS)
-    assert f'wide = "{pattern}"  # guess' in mapping_of(tmp_path / "events.csv")
+    assert f'wide = "{pattern}"  # guess' in draft(by_name(pattern))
 
 
 def test_times_rewards_and_endings_by_stage_and_names_by_row(read_table):

@@ -10,7 +10,7 @@ from contextlib import contextmanager, nullcontext
 from warnings import catch_warnings, simplefilter
 
 import pytest
-from recordings import finished, logs_or_none, record_trajectory
+from recordings import begin, finished, logs_or_none, record_trajectory
 
 from halfseen.errors import HalfseenWarning, LogError
 from halfseen.logs import LogRecorder, read_logs
@@ -151,6 +151,18 @@ def test_the_disk_is_waited_for_as_often_as_was_said(tmp_path, monkeypatch, fsyn
     assert len(synced) - len(at_first) == FSYNCED[fsync]
     places = [folder / JOURNAL, folder, tmp_path / "a", tmp_path]
     assert at_first == ([] if fsync in ("never", False) else [str(place) for place in places])
+
+
+@pytest.mark.parametrize(("fsync", "num_synced"), [("event", 1), ("stage", 0)])
+def test_the_disk_is_waited_for_when_a_trajectory_goes_on(tmp_path, monkeypatch, fsync, num_synced):
+    with LogRecorder(tmp_path) as recorder:
+        begin(recorder.begin_trajectory())
+        recorder.close(None)
+    with LogRecorder(tmp_path, fsync=fsync) as recorder:
+        synced = []
+        monkeypatch.setattr(os, "fsync", synced.append)
+        recorder.resume()
+        assert len(synced) == num_synced
 
 
 # Lines that do not check, as after a loss of power.

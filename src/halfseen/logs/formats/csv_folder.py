@@ -34,7 +34,7 @@ import pyarrow as pa
 import pyarrow.csv as arrow_csv
 
 from halfseen.errors import LogError, warn, within
-from halfseen.logs.columns import OWN_NAMES, converting, refuse_repeated, shown
+from halfseen.logs.columns import NUMBERS, OWN_NAMES, converting, refuse_repeated, shown
 from halfseen.logs.formats.as_text import CSV, ColumnType, as_cells, column_types, from_texts, list_type, refuse_lost
 from halfseen.logs.formats.quotes import check_quotes
 from halfseen.logs.logs import Logs
@@ -45,8 +45,7 @@ from halfseen.writing import placed
 TYPES_FILE = "columns.json"
 FORMAT, VERSION = "halfseen-csv", 2
 
-_KNOWN_TYPES = {"stage": "int64", "ending": "string", "cause": "string"}
-_KNOWN_TYPES |= dict.fromkeys(("elapsed_s", "reward", "probability", "end_s"), "double")
+_KNOWN_TYPES = {"stage": "int64", "ending": "string", "cause": "string"} | dict.fromkeys(NUMBERS, "double")
 
 _WRONG = (ValueError, TypeError, KeyError, AttributeError, pa.ArrowException)
 _INTEGER = r"-?(0|[1-9][0-9]{0,17})"

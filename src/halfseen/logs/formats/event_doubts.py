@@ -12,19 +12,15 @@ from halfseen.errors import warn
 from halfseen.logs.columns import shown
 from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, Event
 from halfseen.logs.formats.bags import Trajectory
-from halfseen.logs.formats.column_words import BEGIN_LIKE
+from halfseen.logs.formats.guesses import BEGIN_LIKE
 from halfseen.logs.formats.table_cells import Cells
 from halfseen.logs.formats.table_mapping import Clock, EventMapping
-from halfseen.logs.formats.table_values import NANOSECONDS, Stamps
+from halfseen.logs.formats.table_values import MISSING_TEXTS, NANOSECONDS, NO_CAUSES, Stamps
 from halfseen.suggestions import folded
 
 _ROUNDED = re.compile(r"-?\d([.,]\d+)?[eE]\+\d+")
 FEWEST_ON_ONE_CLOCK = 5
 """Number of trajectories that show that a clock runs on across trajectories."""
-MISSING_TEXTS = ("NA", "N/A", "n/a", "#N/A", "#NV", "NaN", "nan", "NULL", "null", "<NA>", "NaT", "#VALUE!", "#WERT!")
-"""Texts that R, pandas, databases and spreadsheets write for a missing value."""
-NO_CAUSES = ("None", "none", "nil", "-", "--", "---", "?")
-"""Texts that may be names, but no causes of a cut."""
 
 
 Groups: TypeAlias = Mapping[Any, list[int]]
@@ -103,7 +99,7 @@ def warn_of_rows_apart(cells: Cells, groups: Groups, mapping: EventMapping) -> N
 
 def warn_of_reordered(cells: Cells, groups: Groups, stamps: Stamps, mapping: EventMapping) -> None:
     """Warn about rows above which a later time stands; refuse them between stages that have numbers (`LogError`)."""
-    if mapping.clock.since == "stage" or (mapping.clock.since is not None and mapping.has_begins):
+    if mapping.takes_order:
         return
     late = [rows[k + 1] for rows in groups.values() for k in np.flatnonzero(np.diff(stamps[rows]) < 0).tolist()]
     if late and mapping.wide is not None:

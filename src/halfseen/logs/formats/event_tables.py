@@ -20,23 +20,10 @@ import pyarrow as pa
 
 from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.logs.columns import shown
-from halfseen.logs.formats import table_values
+from halfseen.logs.formats import event_doubts, table_values
 from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, JITTER_NS, Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
 from halfseen.logs.formats.ending_flags import LOG_ENDED, are_flags, truths, with_ending
-from halfseen.logs.formats.event_doubts import (
-    late_covariates,
-    refuse_missing_like,
-    refuse_respelled,
-    refuse_rounded,
-    refuse_unset,
-    warn_of_early,
-    warn_of_late,
-    warn_of_reordered,
-    warn_of_respelled_events,
-    warn_of_rows_apart,
-    warn_of_running_clock,
-)
 from halfseen.logs.formats.mapping import NUMBERS
 from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells, refuse_empty, without_missing
 from halfseen.logs.formats.table_mapping import Ending, Entry, EventMapping, read_event_mapping
@@ -81,22 +68,22 @@ def read_event_table(
     cells, wanted = one_row_a_stage(without_missing(refuse_empty(cells), wanted.table.missing), wanted, file)
     cells, wanted = with_ending(refuse_empty(cells), wanted, file)
     _check_columns(cells, wanted, file)
-    warn_of_respelled_events(cells, wanted)
+    event_doubts.warn_of_respelled_events(cells, wanted)
     cells = cells if wanted.topic is None else _without_repeats(cells)
     needed = {name: wanted.origin(f"covariates.{name}") for name in wanted.covariates}
     late: Counter[str] = Counter()
     finishing, remedy = wanted.ending.finishing, _remedy_after_ending(cells, wanted)
     found = []
     for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
-        late.update(late_covariates(events))
+        late.update(event_doubts.late_covariates(events))
         called = number if name is None else name
         trajectory = Trajectory(called, needed, finishing, cause=LOG_ENDED, remedy=remedy)
         trajectory.follow(events)
         if is_seen(Path(cells.file), trajectory):
             found.append(trajectory)
-    warn_of_late(cells, wanted, late)
+    event_doubts.warn_of_late(cells, wanted, late)
     if wanted.clock.since == "trajectory":
-        warn_of_running_clock(cells, wanted.clock, found)
+        event_doubts.warn_of_running_clock(cells, wanted.clock, found)
     return logs_of(cells.file, file, found, missing=missing)
 
 
@@ -140,11 +127,8 @@ def _remedy_after_ending(cells: Cells, mapping: EventMapping) -> str:
 
 def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
     """Refuse missing columns and events that no row has, except those of endings, which may be missing."""
-    clock = [("clock.field", name) for name in mapping.clock.fields] + [
-        ("clock.begin", name) for name in mapping.clock.begins
-    ]
     topic = [] if mapping.topic is None else [("topic", mapping.topic)]
-    for key, name in clock + topic + [(f"{key}.field", mapping.column(key)) for key in mapping.entries]:
+    for key, name in mapping.clock.columns + topic + [(f"{key}.field", mapping.column(key)) for key in mapping.entries]:
         check_column(cells, name, f"{file}, {key}")
     there = set(cells.columns[mapping.topic]) if mapping.topic is not None else set()
     for key, entry in mapping.entries.items():
@@ -159,12 +143,11 @@ def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
 def _without_repeats(cells: Cells) -> Cells:
     """Drop events that repeat the row before, time included, as written by programs that send twice."""
     whole = list(zip(*cells.columns.values(), strict=True))
-    kept = [row for row, texts in enumerate(whole) if row == 0 or texts != whole[row - 1]]
-    if len(kept) == len(whole):
+    repeats = [row for row in range(1, len(whole)) if whole[row] == whole[row - 1]]
+    if not repeats:
         return cells
-    first = next(row for row, texts in enumerate(whole[1:], start=1) if texts == whole[row - 1])
-    num_repeats = len(whole) - len(kept)
-    warn(cells.place(first), f"it repeats the one before it; such rows are skipped: {num_repeats}")
+    warn(cells.place(repeats[0]), f"it repeats the one before it; such rows are skipped: {len(repeats)}")
+    kept = sorted({*range(len(whole))} - {*repeats})
     columns = {name: [texts[row] for row in kept] for name, texts in cells.columns.items()}
     return replace(cells, columns=columns, rows=[cells.rows[row] for row in kept])
 
@@ -176,8 +159,8 @@ def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tu
     values_of = _values(cells, mapping, marks)
     has_begins, since, ending_texts = mapping.has_begins, mapping.clock.since, cells.columns[mapping.column("ending")]
     groups = _groups(cells, mapping, values_of, stamps)
-    warn_of_rows_apart(cells, groups, mapping)
-    warn_of_reordered(cells, groups, stamps, mapping)
+    event_doubts.warn_of_rows_apart(cells, groups, mapping)
+    event_doubts.warn_of_reordered(cells, groups, stamps, mapping)
     for name, unordered in groups.items():
         rows, times = _in_order(unordered, stamps, mapping)
         events = [] if begins is None or has_begins else [Event(int(begins[rows[0]]), "begin", None)]
@@ -191,14 +174,14 @@ def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tu
         if not has_begins:
             yield name, events
             continue
-        warn_of_early(cells, events)
+        event_doubts.warn_of_early(cells, events)
         for begun, following in split(Path(cells.file), [events], mapping.column("trajectory"), file):
             yield begun, following if since is None else [Event(0, "begin", None), *following]
 
 
 def _columns_of_numbers(mapping: EventMapping) -> list[str]:
     keys = [key for key, one in mapping.entries.items() if key in NUMBERS or ("." in key and one.type != "text")]
-    times = [*mapping.clock.fields, *mapping.clock.begins] if mapping.clock.unit is not None else []
+    times = [name for _, name in mapping.clock.columns] if mapping.clock.unit is not None else []
     return list(dict.fromkeys([mapping.column(key) for key in keys] + times))
 
 
@@ -212,7 +195,7 @@ def _times(cells: Cells, mapping: EventMapping, marks: Marks, file: str) -> tupl
         raise ArgumentError(f"{file}, {error}") from error
     if clock.since is not None:
         begins = np.zeros_like(stamps)
-    refuse_unset(cells, stamps, clock)
+    event_doubts.refuse_unset(cells, stamps, clock)
     if begins is not None and (begins > stamps).any():
         cells.refuse(int(np.argmax(begins > stamps)), clock.fields[-1], "is before its beginning; fix one of them")
     return stamps, begins
@@ -248,7 +231,7 @@ def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int]
     """Read the cells of one column: numbers, or names, as whole numbers if all are; a covariate may be null."""
     texts, known, is_covariate = cells.columns[column], entry.values, "." in key
     named = [*known, *(entry.finishing if isinstance(entry, Ending) else ())]
-    refuse_respelled(cells, rows, column, named)
+    event_doubts.refuse_respelled(cells, rows, column, named)
     first = next((known.get(texts[row], texts[row]) for row in rows if texts[row]), "")
     has_text = any(
         isinstance(value, str) and table_values.plain_number(value, marks) is None for value in known.values()
@@ -268,7 +251,7 @@ def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int]
             cells.refuse(row, column, f"is not a valid {key}; give one, or leave the row out")
     if is_covariate and entry.type is None:
         table_values.refuse_most_numbers(cells, [row for row in rows if texts[row] not in known], column)
-    refuse_missing_like(cells, rows, column, named, key)
+    event_doubts.refuse_missing_like(cells, rows, column, named, key)
     if is_covariate and entry.type is None and not known:
         return truths([texts[row] for row in rows]) or [texts[row] or None for row in rows]
     if is_covariate:
@@ -276,7 +259,7 @@ def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int]
     names = [str(known.get(texts[row], texts[row])) for row in rows]
     if key == "ending":
         return names
-    refuse_rounded(cells, rows, column)
+    event_doubts.refuse_rounded(cells, rows, column)
     return table_values.whole_numbers(names) or names
 
 

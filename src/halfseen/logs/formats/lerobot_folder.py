@@ -27,15 +27,15 @@ import numpy as np
 import pyarrow as pa
 
 from halfseen.errors import LogError, warn
-from halfseen.logs.columns import FINISHED, shown
+from halfseen.logs.columns import FINISHED, first_true, shown
 from halfseen.logs.formats.step_clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.step_tables import as_array, read_tables, whole_table
 from halfseen.logs.formats.steps import Ending, StepColumns, StepRules, StepTable, begins_of, refuse_early, require
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.logs.parquet import parquet_file
-from halfseen.reading import json_of, read_bytes, read_text, reason_of
-from halfseen.shapes import Bool, Float, Int
+from halfseen.reading import json_of, read_bytes, read_text, refused
+from halfseen.shapes import Float, Int
 
 Line = TypeVar("Line")
 INFO = Path("meta") / "info.json"
@@ -131,10 +131,8 @@ class TaskLine(msgspec.Struct):
 
 def _info(file: Path) -> Info:
     remedy = "bring the dataset to v3 with LeRobot, or copy the whole dataset again"
-    try:
+    with refused(file, "it cannot be read", remedy):
         info = msgspec.convert(json_of(read_text(file)), Info)
-    except (OSError, ValueError) as error:
-        raise LogError(f"{file}: it cannot be read ({reason_of(error)}); {remedy}") from error
     if info.version not in DATA_OF:
         versions = " and ".join(DATA_OF)
         raise LogError(
@@ -218,48 +216,29 @@ def _endings(steps: StepColumns, rules: StepRules, begins: Int[np.ndarray, " E1"
     """Ending and cause of each episode."""
     names = FLAGS if rules.done is None else (*FLAGS, rules.done)
     flags = {name: steps.flags(name) for name in names if name in steps.columns}
-    last = begins[1:] - 1
-    is_truncated = flags.get(TRUNCATED, np.zeros(int(begins[-1]), dtype=bool))
-    is_own_end = _own_ends(steps.place, flags, is_truncated, rules, last)
-    if is_own_end is None:
+    last, never = begins[1:] - 1, np.zeros(int(begins[-1]), dtype=bool)
+    is_truncated = flags.get(TRUNCATED, never)
+    own = (TERMINATED, SUCCESS) if TERMINATED in flags else (SUCCESS, DONE)
+    own = [name for name in (own if rules.done is None else (rules.done,)) if name in flags]
+    if not own and TRUNCATED not in flags:
+        became = "finished" if rules.truncated == FINISHED else "was cut (truncated)"
+        warn(
+            steps.place,
+            f"none of {', '.join(FLAGS)} says how an episode ended, so that each {became}; name another feature as "
+            "done, or set truncated",
+        )
         return rules.endings(last < 0, last >= 0)
-    ends_it = np.any([is_truncated, *(flags[name] for name in flags if name != SUCCESS or name == rules.done)], axis=0)
+    is_done_alone = rules.done is None and DONE in own and TRUNCATED not in flags
+    if is_done_alone and len(last) > 1 and flags[DONE][last].all():
+        warn(
+            steps.place,
+            f"every episode ends with {DONE}, which LeRobot also sets for truncated ones, and there is no "
+            f"{TRUNCATED}: each counts as finished; name a feature that marks termination as done",
+        )
+    ends_it = np.any([never, *(flags[name] for name in flags if name != SUCCESS or name == rules.done)], axis=0)
     refuse_early(steps.place, steps.columns[EPISODE][begins[:-1]].tolist(), begins, ends_it)
-    if TRUNCATED not in flags:
-        is_truncated = ~is_truncated
-    return rules.endings(is_own_end[last], is_truncated[last])
-
-
-def _own_ends(
-    place: str,
-    flags: dict[str, Bool[np.ndarray, " N"]],
-    is_truncated: Bool[np.ndarray, " N"],
-    rules: StepRules,
-    last: Int[np.ndarray, " E"],
-) -> Bool[np.ndarray, " N"] | None:
-    """Frames in which an episode reached its own end; None if no feature says so."""
-    if rules.done is not None:
-        return flags[rules.done] & ~is_truncated if rules.done == DONE else flags[rules.done]
-    own = [flags[name] for name in (TERMINATED, SUCCESS) if name in flags]
-    if DONE in flags and TERMINATED not in flags:
-        own.append(flags[DONE] & ~is_truncated)
-        if TRUNCATED not in flags and len(last) > 1 and flags[DONE][last].all():
-            warn(
-                place,
-                f"every episode ends with {DONE}, which LeRobot also sets for truncated ones, and there is no "
-                f"{TRUNCATED}: each counts as finished; name a feature that marks termination as done",
-            )
-    if own:
-        return np.any(own, axis=0)
-    if TRUNCATED in flags:
-        return np.zeros(len(is_truncated), dtype=bool)
-    became = "finished" if rules.truncated == FINISHED else "was cut (truncated)"
-    warn(
-        place,
-        f"none of {', '.join(FLAGS)} says how an episode ended, so that each {became}; name another feature as done, "
-        "or set truncated",
-    )
-    return None
+    is_own_end = np.any([never, *(flags[name] & ~(is_truncated & (name == DONE)) for name in own)], axis=0)
+    return rules.endings(is_own_end[last], is_truncated[last] if TRUNCATED in flags else last >= 0)
 
 
 def _ends(steps: StepColumns, fps: float, rules: StepRules, begins: Int[np.ndarray, " E1"]) -> Float[np.ndarray, " N"]:
@@ -277,9 +256,7 @@ def _check_stamps(steps: StepColumns, fps: float, begins: Int[np.ndarray, " E1"]
     stamps = steps.numbers(TIMESTAMP)
     first = np.repeat(begins[:-1], np.diff(begins))
     counted = (np.arange(len(stamps)) - first) / fps
-    wrong = ~(np.abs(stamps - stamps[first] - counted) < 0.5 / fps)
-    if wrong.any():
-        row = int(np.argmax(wrong))
+    if (row := first_true(~(np.abs(stamps - stamps[first] - counted) < 0.5 / fps))) is not None:
         raise LogError(
             f"{steps.place}, episode {shown(steps.columns[EPISODE][row])}: frame {row - first[row]} has the "
             f"{TIMESTAMP} {stamps[row]:g} s, and by {fps:g} frames a second it is {counted[row]:g} s; name {TIMESTAMP} "

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator
 from itertools import chain, repeat
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
 import msgspec
 
@@ -45,13 +45,6 @@ def _reworded(trouble: str) -> str:
     return f"{key}: {words[:1].lower()}{words[1:]}".removeprefix(": ")
 
 
-def mapped(mapping: Any) -> dict[str, Any]:
-    """All mapped entries by their table in the file, in the order in which they apply within a row."""
-    named = {"trajectory": mapping.trajectory, **{f"covariates.{name}": of for name, of in mapping.covariates.items()}}
-    named |= {key: getattr(mapping, key, None) for key in _KEYS}
-    return {key: source for key, source in named.items() if source is not None}
-
-
 def refuse_mapping(file: str | Path, mapping: Any, troubles: Iterator[tuple[str, str]]) -> None:
     """Refuse an inconsistent mapping, naming the key."""
     taken = [f"covariates.{name}" for name in mapping.covariates if name in (*STAGE_COLUMNS, "cloud")]
@@ -68,6 +61,24 @@ class ValueSource(msgspec.Struct, **Given):
     """Path into the message; None for the message itself."""
 
 
+class Parts(msgspec.Struct, Generic[Of], kw_only=True, **Given):
+    """Sources of the parts of a log that any mapping has."""
+
+    action: Of
+    reward: Of
+    trajectory: Of | None = None
+    object: Of | None = None
+    probability: Of | None = None
+    covariates: dict[str, Of] = {}
+
+    @property
+    def entries(self) -> dict[str, Of]:
+        """All sources by their table in the file, in the order in which they apply within a row."""
+        named = {"trajectory": self.trajectory, **{f"covariates.{name}": of for name, of in self.covariates.items()}}
+        named |= {key: getattr(self, key, None) for key in _KEYS}
+        return {key: source for key, source in named.items() if source is not None}
+
+
 class EndingSource(ValueSource, **Given):
     """Source of an ending; values in `finished` mean finished, all others are causes of a cut."""
 
@@ -76,7 +87,7 @@ class EndingSource(ValueSource, **Given):
     )
 
 
-class BagMapping(msgspec.Struct, **Given):
+class BagMapping(Parts[ValueSource], kw_only=True, **Given):
     """Mapping of the topics of a bag; made by `read_mapping`.
 
     Parameters
@@ -91,22 +102,16 @@ class BagMapping(msgspec.Struct, **Given):
         Source of each covariate of the stages.
     """
 
-    action: ValueSource
-    reward: ValueSource
     ending: EndingSource
     clock: str = "log"
-    trajectory: ValueSource | None = None
-    object: ValueSource | None = None
-    probability: ValueSource | None = None
     cloud: ValueSource | None = None
-    covariates: dict[str, ValueSource] = {}
     file: str = msgspec.field(default="", name="file of the mapping")
     """File it was read from, for messages."""
 
     @property
     def sources(self) -> dict[str, ValueSource]:
         """All sources by their table in the file, such as ``covariates.occlusion``."""
-        return mapped(self)
+        return self.entries
 
 
 def read_mapping(file: str | Path) -> BagMapping:

@@ -18,13 +18,11 @@ from halfseen.logs.folder import Place, asking, read_folder
 from halfseen.logs.formats import csv_folder
 from halfseen.logs.journal import OLDER, VERSION, journal_line, journal_parts
 from halfseen.logs.logs import Logs
-from halfseen.reading import TABLE, json_of, opened, reason_of
+from halfseen.reading import TABLE, json_of, opened, refused
 
 TABLES = {"paths": "trajectories"}
 COLUMNS = {"path": "trajectory", "run_path": "run_trajectory"}
 """Current names of tables and columns, by their former names."""
-
-_BROKEN = (OSError, ValueError, LookupError, TypeError, AttributeError, pa.ArrowException)
 
 
 def is_older(folder: Place) -> bool:
@@ -58,11 +56,8 @@ def _as_of_today(folder: Place) -> Iterator[Path]:
         with asking(folder):
             files = [file for file in folder.iterdir() if file.suffix in _TRANSLATIONS]
         for file in files:
-            try:
-                with asking(folder):
-                    _TRANSLATIONS[file.suffix](file, translated / (TABLES.get(file.stem, file.stem) + file.suffix))
-            except _BROKEN as error:
-                raise LogError(f"{file}: it cannot be read ({reason_of(error)}); copy it again") from error
+            with refused(file, "it cannot be read", "copy it again"), asking(folder):
+                _TRANSLATIONS[file.suffix](file, translated / (TABLES.get(file.stem, file.stem) + file.suffix))
         yield translated
 
 

@@ -59,8 +59,7 @@ class Queries(msgspec.Struct, **Given):
     @property
     def by_table(self) -> dict[str, str]:
         """The queries by the name of their table."""
-        queries = {"stages": self.stages, "trajectories": self.trajectories, "objects": self.objects}
-        return {name: query for name, query in queries.items() if query is not None}
+        return {name: query for name, query in msgspec.structs.asdict(self).items() if query is not None}
 
 
 def read_queries(file: str | Path) -> Queries:

@@ -279,11 +279,6 @@ def _endings_of_episodes(episodes: list[Any], names: list[int], name: str, rules
     for each in episodes:
         if not len(each):
             raise LogError(f"{name}, episode {each.id}: it has no step; leave the episode out")
-    begins = np.cumsum([0, *map(len, episodes)])
-    is_terminated, is_truncated = (
-        np.concatenate([[], *(getattr(each, flags) for each in episodes)]).astype(bool)
-        for flags in ("terminations", "truncations")
-    )
-    refuse_early(name, names, begins, is_terminated | is_truncated)
-    last = begins[1:] - 1
-    return rules.endings(is_terminated[last], is_truncated[last])
+    ends_it = [np.logical_or(each.terminations, each.truncations) for each in episodes]
+    refuse_early(name, names, np.cumsum([0, *map(len, episodes)]), np.concatenate([[], *ends_it]).astype(bool))
+    return rules.endings([each.terminations[-1] for each in episodes], [each.truncations[-1] for each in episodes])

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from halfseen.errors import LogError, warn
-from halfseen.logs.columns import shown
+from halfseen.logs.columns import first_true, shown
 from halfseen.shapes import Float, Int, Shaped
 
 MOST_FIRST = 3.0
@@ -54,9 +54,8 @@ def ends_by_steps(
     first_s = np.array([float(one[0]) - begin_s for one, begin_s in zip(times_s, begins_s, strict=True)])
     later_s = np.concatenate([np.diff(one) for one in times_s])
     unsure_s = np.where(np.append(is_on, runs_on), first_s, 0.0)
-    wrong = unsure_s > MOST_FIRST * later_s.max(initial=-np.inf)
-    if len(later_s) and wrong.any():
-        k = int(np.argmax(wrong))
+    k = first_true(unsure_s > MOST_FIRST * later_s.max(initial=-np.inf))
+    if len(later_s) and k is not None:
         raise LogError(
             f"{place}, episode {shown(names[k])}: by {clock} its first step would last {unsure_s[k]:g} s, but no "
             f"later step lasts more than {later_s.max():g} s; start {clock} at 0 in each episode, name a clock of the "

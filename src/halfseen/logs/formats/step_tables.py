@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.csv as arrow_csv
 
 from halfseen.errors import LogError, warn
-from halfseen.logs.columns import refuse_repeated, shown
+from halfseen.logs.columns import first_true, refuse_repeated, shown
 from halfseen.logs.formats.as_text import from_list_texts
 from halfseen.logs.formats.csv_folder import read_cells, refuse_semicolons, refuse_text_among_numbers
 from halfseen.logs.formats.quotes import check_quotes
@@ -96,8 +96,8 @@ def read_steps(
     else:
         ends_s = ends_by_observations(steps.numbers(rules.clock), begins)[is_step]
     refuse_early(place, names, begins, is_last | is_terminal)
-    if (wrong := is_terminal[last] & ~is_last[last]).any():
-        name = shown(names[int(np.argmax(wrong))])
+    if (wrong := first_true(is_terminal[last] & ~is_last[last])) is not None:
+        name = shown(names[wrong])
         raise LogError(f"{place}, episode {name}: its last row terminates it and is not {LAST}; fix one of the two")
     endings = rules.endings(is_terminal[last], is_last[last])
     return StepTable(names, begins, is_step, observed, actions, rewards[is_step], ends_s, endings).logs(place, missing)
@@ -115,8 +115,7 @@ def _episodes(steps: StepColumns, label: str | None) -> tuple[list[int | str], I
     if labels.ndim != 1 or labels.dtype.kind not in "iuO" or any(name is None for name in labels.tolist()):
         raise LogError(f"{place}: {label} holds {labels.dtype} or null, not names; give whole numbers or text")
     wrong = is_first != np.append(True, labels[1:] != labels[:-1]).astype(bool) if len(is_first) else is_first
-    if wrong.any():
-        row = int(np.argmax(wrong))
+    if (row := first_true(wrong)) is not None:
         raise LogError(
             f"{place}, row {row}: {FIRST} is {bool(is_first[row])}, yet {label} is {shown(labels[row])}; fix one of "
             "the two"
@@ -297,9 +296,7 @@ def _array(place: str, name: str, values: Any) -> np.ndarray:
     kind = values.type
     if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
         lengths = np.array(values.value_lengths().fill_null(-1))
-        wrong = (lengths != lengths[:1]) | (lengths == -1)
-        if wrong.any():
-            row = int(np.argmax(wrong))
+        if (row := first_true((lengths != lengths[:1]) | (lengths == -1))) is not None:
             found = "null" if lengths[row] == -1 else f"{lengths[row]} values where row 0 has {lengths[0]}"
             raise LogError(f"{place}, row {row}: {name} has {found}; give every step the same number")
         inner = _array(place, name, values.flatten())

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError, LogError, warn, within
-from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
+from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, first_true, shown
 from halfseen.logs.formats.step_clocks import refuse_counts, refuse_other_unit, refuse_rounded
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
@@ -122,11 +122,11 @@ class StepColumns:
     def flags(self, name: str) -> Bool[np.ndarray, " N"]:
         """Truth values, also given as 1 and 0 or as text; anything else is refused."""
         flat = self._flat(name)
-        is_text = flat.ndim == 1 and flat.dtype == object
-        numbers = _numbers_of_words(flat) if is_text else self.numbers(name, "done")
-        wrong = ~((numbers == 0) | (numbers == 1))
-        if wrong.any():
-            row = int(np.argmax(wrong))
+        if flat.ndim == 1 and flat.dtype == object:
+            numbers = np.array([_WORDS.get(str(value).lower(), np.nan) for value in flat], dtype=np.float64)
+        else:
+            numbers = self.numbers(name, "done")
+        if (row := first_true(~((numbers == 0) | (numbers == 1)))) is not None:
             raise LogError(f"{self.place}, row {row}: {name} is {shown(flat[row])}, neither true nor false; fix it")
         return numbers.astype(bool)
 
@@ -134,7 +134,9 @@ class StepColumns:
         """Actions of the given rows, each one of finitely many: whole numbers (null as None) or text."""
         values, flat = self.columns[name], self._flat(name)[rows]
         if flat.ndim == 1 and flat.dtype.kind in "biu":
-            return self._whole_numbers(name, flat)
+            if flat.dtype.kind == "u" and (flat >= 2**63).any():
+                raise LogError(f"{self.place}: {name} is {flat.max()}, beyond 64-bit integers; give names as text")
+            return flat.astype(np.int64)
         if flat.ndim == 1 and flat.dtype == object and not _is_strange(flat):
             return flat
         if flat.ndim == 1 and flat.dtype.kind == "f":
@@ -167,11 +169,6 @@ class StepColumns:
         if passed_over:
             warn(self.place, f"{', '.join(passed_over)}: columns of a stage cannot hold it, so it is left out")
         return observed
-
-    def _whole_numbers(self, name: str, flat: np.ndarray) -> Int[np.ndarray, " M"]:
-        if flat.dtype.kind == "u" and (flat >= 2**63).any():
-            raise LogError(f"{self.place}: {name} is {flat.max()}, beyond 64-bit integers; give names as text")
-        return flat.astype(np.int64)
 
     def _flat(self, name: str) -> np.ndarray:
         values = self.columns[name]
@@ -208,9 +205,9 @@ class StepTable:
         if not self.names:
             raise LogError(f"{place}: it has no episodes; a log has at least one trajectory")
         num_steps = np.add.reduceat(self.is_step, self.begins[:-1], dtype=np.int64)
-        if not num_steps.all():
-            name = self.names[int(np.argmin(num_steps))]
-            raise LogError(f"{place}, episode {shown(name)}: it has no step; leave the episode out")
+        if (without := first_true(num_steps == 0)) is not None:
+            name = shown(self.names[without])
+            raise LogError(f"{place}, episode {name}: it has no step; leave the episode out")
         end_s = self.ends_s[np.cumsum(num_steps) - 1]
         refuse_counts(place, self.ends_s, num_steps)
         ends: dict[str, Any] = {
@@ -299,11 +296,6 @@ def _first_text(values: np.ndarray) -> int | None:
     rows = [row for row, value in enumerate(values) if isinstance(value, str)]
     numbers: Any = pd.to_numeric(pd.Series([values[row] for row in rows], dtype=object), errors="coerce")
     return rows[int(np.argmax(np.isnan(numbers)))] if rows else None
-
-
-def _numbers_of_words(values: np.ndarray) -> Float[np.ndarray, " N"]:
-    """Truth values of text as 1 and 0; NaN for null and other text."""
-    return np.array([_WORDS.get(str(value).lower(), np.nan) for value in values], dtype=np.float64)
 
 
 def _is_strange(values: np.ndarray) -> bool:

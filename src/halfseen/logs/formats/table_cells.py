@@ -9,11 +9,11 @@ import gzip
 import io
 import json
 import re
-from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
+from statistics import mode
 from typing import Any, BinaryIO, NoReturn
 
 import msgspec
@@ -22,6 +22,7 @@ import pyarrow as pa
 
 from halfseen.errors import ArgumentError, LogError, did_you_mean, warn
 from halfseen.logs.columns import refuse_repeated, shown
+from halfseen.logs.folder import JSON_LINES, TEXT_FILES, WORKBOOKS
 from halfseen.logs.formats.quotes import check_quotes
 from halfseen.logs.formats.step_tables import LAST, whole_table
 from halfseen.logs.formats.table_mapping import TextLayout
@@ -29,9 +30,8 @@ from halfseen.logs.formats.workbooks import rows_of_sheet
 from halfseen.logs.parquet import parquet_file
 from halfseen.reading import TABLE, check_file, check_unpacked, json_of, opened, reason_of, refused
 
-TEXT_FILES, TYPED_FILES, WORKBOOKS = (".csv", ".tsv", ".txt"), (".parquet",), (".xlsx", ".xlsm")
-OTHER_SHEETS = (".xls", ".xlsb", ".ods")
-JSON_LINES, PACKED = (".jsonl", ".ndjson"), ".gz"
+TYPED_FILES, OTHER_SHEETS = (".parquet",), (".xls", ".xlsb", ".ods")
+PACKED = ".gz"
 SEPARATORS = (";", ",", "\t", "|")
 ROW = "row"
 """Name of a first column that has none."""
@@ -272,10 +272,8 @@ def _headed(
 
 def _trimmed(cells: list[str], least: int) -> list[str]:
     """Drop trailing empty cells, but keep at least `least` cells."""
-    end = len(cells)
-    while end > least and not cells[end - 1]:
-        end -= 1
-    return cells[:end]
+    last = max((k for k, cell in enumerate(cells) if cell), default=-1)
+    return cells[: max(last + 1, least)]
 
 
 def _checked(cells: Cells, names: list[str]) -> Cells:
@@ -319,17 +317,15 @@ def heading_of(file: Path) -> int:
     """Line of the probable heading: the first with as many cells as most of the first lines, or one fewer."""
     if kind_of_table(file) in WORKBOOKS:
         with whole_table(file):
-            rows = dict(islice(rows_of_sheet(file, None).items(), ROWS_LOOKED_AT))
-        usual = Counter(map(len, rows.values())).most_common(1)[0][0] if rows else 0
-        return next((number for number, row in rows.items() if len(row) >= max(1, usual - 1)), 1)
-    text, _ = _text(file, None)
-    lines = text.splitlines()[:ROWS_LOOKED_AT]
+            ways = [{number: len(row) for number, row in islice(rows_of_sheet(file, None).items(), ROWS_LOOKED_AT)}]
+    else:
+        lines = list(enumerate(_text(file, None)[0].splitlines()[:ROWS_LOOKED_AT], start=1))
+        ways = [{number: line.count(separator) for number, line in lines} for separator in SEPARATORS]
     found: dict[int, int] = {}
-    for separator in SEPARATORS:
-        sizes = [line.count(separator) for line in lines]
-        usual = Counter(sizes).most_common(1)[0][0] if sizes else 0
+    for sizes in ways:
+        usual = mode(sizes.values()) if sizes else 0
         if usual:
-            found[usual] = next(k for k, size in enumerate(sizes, start=1) if size >= max(1, usual - 1))
+            found[usual] = next(number for number, size in sizes.items() if size >= max(1, usual - 1))
     return found[max(found)] if found else 1
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 
 from halfseen.logs.columns import FINISHED, shown
-from halfseen.logs.formats.mapping import NUMBERS, Given, mapped, mapping_in, refuse_mapping
+from halfseen.logs.formats.mapping import NUMBERS, Given, Parts, mapping_in, refuse_mapping
 from halfseen.reading import read_text, toml_of
 
 
@@ -58,6 +58,11 @@ class Clock(msgspec.Struct, **Given):
         """The columns of a stage's begin time."""
         return [self.begin] if isinstance(self.begin, str) else self.begin or []
 
+    @property
+    def columns(self) -> list[tuple[str, str]]:
+        """All columns of times, each with the key that names it."""
+        return [("clock.field", name) for name in self.fields] + [("clock.begin", name) for name in self.begins]
+
 
 class Entry(msgspec.Struct, **Given):
     """Source of a value in a table."""
@@ -103,7 +108,7 @@ class Ending(Entry, **Given):
         return not isinstance(self.finished, list)
 
 
-class EventMapping(msgspec.Struct, **Given):
+class EventMapping(Parts[Entry], kw_only=True, **Given):
     """Mapping of the columns of a table; made by `read_event_mapping`.
 
     Parameters
@@ -125,21 +130,10 @@ class EventMapping(msgspec.Struct, **Given):
     """
 
     clock: Clock
-    action: Entry
-    reward: Entry
     ending: Ending
     topic: str | None = None
     wide: str | None = None
-    trajectory: Entry | None = None
-    object: Entry | None = None
-    probability: Entry | None = None
-    covariates: dict[str, Entry] = {}
     table: TextLayout = TextLayout()
-
-    @property
-    def entries(self) -> dict[str, Entry]:
-        """All mapped entries, in the order in which they apply within a row."""
-        return mapped(self)
 
     def column(self, key: str) -> str:
         """The column of a mapped entry."""
@@ -182,59 +176,56 @@ def is_event_mapping(file: str | Path) -> bool:
         return False
 
 
+# fmt: off
 def _troubles_of_table(mapping: EventMapping) -> Iterator[tuple[str, str]]:
     """Inconsistencies in the mapping of a table, by key."""
-    clock, layout = mapping.clock, mapping.table
-    if mapping.wide is not None and any(mapping.wide.count(each) != 1 for each in ("{name}", "{stage}")):
-        yield (
-            "wide",
-            f'{mapping.wide!r} does not hold {{name}} and {{stage}}, each once; write one like "{{name}}_{{stage}}"',
-        )
-    if mapping.wide is not None and mapping.topic is not None:
-        yield "wide", "it is for one row a trajectory, and topic for one row an event; leave one out"
-    if layout.thousands is not None and layout.thousands == layout.decimal:
-        yield "table.thousands", "it is also the decimal mark; fix one of the two"
-    if layout.encoding is not None and not _is_encoding(layout.encoding):
-        yield (
-            "table.encoding",
-            f"{layout.encoding!r} is unknown; use one of Python's, such as 'cp1252' or 'gbk'",
-        )
-    if clock.unit is not None and max(len(clock.fields), len(clock.begins)) > 1:
-        yield (
-            "clock.field",
-            "several columns are for a date and a time of day, but times with a unit need only one; name it",
-        )
-    if clock.format is not None and (clock.unit or clock.since):
-        yield "clock.format", "dates have a format, and numbers a unit; leave one of the two out"
+    clock, layout, ending = mapping.clock, mapping.table, mapping.ending
+    wide, topic = mapping.wide, mapping.topic
     parts = {each[-1] for each in re.findall("%.", clock.format or "")}
-    if "p" in parts and "I" not in parts:
-        yield "clock.format", "%p has no effect with %H, so 01:00 PM is read as 01:00; use %I instead of %H"
-    if "Z" in parts:
-        yield (
-            "clock.format",
-            "%Z is the name of a zone, which is not read; use %z for offsets, or set clock.zone",
-        )
-    if "I" in parts and "p" not in parts:
-        yield "clock.format", "%I is an hour from 1 to 12, which needs %p; use %H, or add %p"
-    if mapping.topic is None and clock.since is None and clock.begin is None:
-        yield "clock.begin", "it is missing; name the column of a stage's beginning, or set since"
-    if clock.since is not None and clock.begin is not None:
-        yield "clock", f"since = {clock.since!r} and begin = {clock.begin!r} both define when it begins; leave one out"
-    if mapping.topic is not None and (clock.since == "stage" or clock.begin is not None):
-        yield "clock", "begin, and since = 'stage', are for tables of one row a stage; leave it out"
-    yield from _troubles_of_flags(mapping.ending)
-    if mapping.topic is not None and mapping.ending.finished == "rewarded":
-        yield "ending.finished", "only rows of stages tell it; name the texts that mean finished"
+    for is_wrong, key, trouble in (
+        (wide is not None and any(wide.count(each) != 1 for each in ("{name}", "{stage}")), "wide",
+         f'{wide!r} does not hold {{name}} and {{stage}}, each once; write one like "{{name}}_{{stage}}"'),
+        (wide is not None and topic is not None, "wide",
+         "it is for one row a trajectory, and topic for one row an event; leave one out"),
+        (layout.thousands is not None and layout.thousands == layout.decimal, "table.thousands",
+         "it is also the decimal mark; fix one of the two"),
+        (layout.encoding is not None and not _is_encoding(layout.encoding), "table.encoding",
+         f"{layout.encoding!r} is unknown; use one of Python's, such as 'cp1252' or 'gbk'"),
+        (clock.unit is not None and max(len(clock.fields), len(clock.begins)) > 1, "clock.field",
+         "several columns are for a date and a time of day, but times with a unit need only one; name it"),
+        (clock.format is not None and (clock.unit or clock.since), "clock.format",
+         "dates have a format, and numbers a unit; leave one of the two out"),
+        ("p" in parts and "I" not in parts, "clock.format",
+         "%p has no effect with %H, so 01:00 PM is read as 01:00; use %I instead of %H"),
+        ("Z" in parts, "clock.format",
+         "%Z is the name of a zone, which is not read; use %z for offsets, or set clock.zone"),
+        ("I" in parts and "p" not in parts, "clock.format",
+         "%I is an hour from 1 to 12, which needs %p; use %H, or add %p"),
+        (topic is None and clock.since is None and clock.begin is None, "clock.begin",
+         "it is missing; name the column of a stage's beginning, or set since"),
+        (clock.since is not None and clock.begin is not None, "clock",
+         f"since = {clock.since!r} and begin = {clock.begin!r} both define when it begins; leave one out"),
+        (topic is not None and (clock.since == "stage" or clock.begin is not None), "clock",
+         "begin, and since = 'stage', are for tables of one row a stage; leave it out"),
+        (ending.is_derived and (ending.field is not None or ending.topic is not None), "ending",
+         "field and topic are of text, and finished is not; leave one out"),
+        (ending.cut is not None and not isinstance(ending.finished, Flag), "ending.finished",
+         'it is not a flag, but cut is; set finished = {field = "COLUMN"}, too'),
+        (topic is not None and ending.finished == "rewarded", "ending.finished",
+         "only rows of stages tell it; name the texts that mean finished"),
+    ):
+        if is_wrong:
+            yield key, trouble
     for key, entry in mapping.entries.items():
-        if mapping.topic is None and entry.topic is not None:
-            yield f"{key}.topic", "no column of events is named; add topic = 'COLUMN' at the top"
         is_derived = isinstance(entry, Ending) and entry.is_derived
-        if entry.field is None and (mapping.topic is None or entry.topic is None) and not is_derived:
+        if topic is None and entry.topic is not None:
+            yield f"{key}.topic", "no column of events is named; add topic = 'COLUMN' at the top"
+        if entry.field is None and (topic is None or entry.topic is None) and not is_derived:
             yield f"{key}.field", "it is missing; name the column"
-        if (key in NUMBERS or entry.type == "number") and any(
-            isinstance(value, str) for value in entry.values.values()
-        ):
+        is_number = key in NUMBERS or entry.type == "number"
+        if is_number and any(isinstance(value, str) for value in entry.values.values()):
             yield f"{key}.values", "they are text; give numbers"
+# fmt: on
 
 
 def _is_encoding(name: str) -> bool:
@@ -246,11 +237,3 @@ def _is_encoding(name: str) -> bool:
     except (LookupError, ValueError):
         return False
     return True
-
-
-def _troubles_of_flags(ending: Ending) -> Iterator[tuple[str, str]]:
-    is_flag = isinstance(ending.finished, Flag)
-    if ending.is_derived and (ending.field is not None or ending.topic is not None):
-        yield "ending", "field and topic are of text, and finished is not; leave one out"
-    if ending.cut is not None and not is_flag:
-        yield "ending.finished", 'it is not a flag, but cut is; set finished = {field = "COLUMN"}, too'

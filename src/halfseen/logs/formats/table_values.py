@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError, warn
-from halfseen.logs.columns import shown
+from halfseen.logs.columns import first_true, shown
 from halfseen.logs.formats.table_cells import Cells
 from halfseen.logs.formats.table_mapping import Clock
 from halfseen.reading import reason_of
@@ -25,7 +25,11 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d{1,3})?")
 _FRACTION = {mark: re.compile(rf"[-+]?\d*{re.escape(mark)}\d+([eE][-+]?\d+)?") for mark in ".,"}
 _IN_THOUSANDS = {mark: re.compile(rf"[-+]?[1-9]\d{{0,2}}({re.escape(mark)}\d{{3}})+") for mark in ".,"}
 _GROUPED = re.compile(r"[-+]?\d{1,3}[.,'\u2019 \u00a0\u202f]\d{3}(?!\d)")
-_MISSING_LIKE = ("nan", "na", "n/a", "#n/a", "#nv", "nv", "null", "none", "nil", "-", "--", "---", "?")
+MISSING_TEXTS = ("NA", "N/A", "n/a", "#N/A", "#NV", "NaN", "nan", "NULL", "null", "<NA>", "NaT", "#VALUE!", "#WERT!")
+"""Texts that R, pandas, databases and spreadsheets write for a missing value."""
+NO_CAUSES = ("None", "none", "nil", "-", "--", "---", "?")
+"""Texts that may be names, but no causes of a cut."""
+_MISSING_LIKE = {text.lower() for text in (*MISSING_TEXTS, *NO_CAUSES, "NV")}
 _WITH_UNIT = re.compile(r"([-+\d][\d.,'\u2019 ]*\d|\d) ?([^\W\d]{1,4}|%|°[CF]?)")
 _OTHER = {".": ",", ",": "."}
 _BETWEEN = {".": r"\.", ",": ",", "'": "['\u2019]", " ": "[ \u00a0\u202f]"}
@@ -208,11 +212,11 @@ def stamps_ns(cells: Cells, columns: Sequence[str], clock: Clock, marks: Marks) 
 
 def _refuse_new_year(cells: Cells, column: str, stamps: Stamps) -> None:
     """Refuse dates without a year on both sides of a new year (`LogError`)."""
-    is_apart = np.abs(np.diff(stamps)) > _HALF_A_YEAR_NS
-    if is_apart.any():
-        row = int(np.argmax(is_apart)) + 1
-        before = shown(cells.columns[column][row - 1])
-        cells.refuse(row, column, f"comes after {before}, but clock.format has no year; export times with their year")
+    if (row := first_true(np.abs(np.diff(stamps)) > _HALF_A_YEAR_NS)) is not None:
+        before = shown(cells.columns[column][row])
+        cells.refuse(
+            row + 1, column, f"comes after {before}, but clock.format has no year; export times with their year"
+        )
 
 
 def joined(cells: Cells, columns: Sequence[str]) -> tuple[Cells, str]:
@@ -270,14 +274,9 @@ def _over_midnight(cells: Cells, column: str, times: Stamps) -> Stamps:
     near = steps - day * np.rint(steps / day).astype(np.int64)
     forth = -1 if np.sign(near).sum() < 0 else 1  # the newest may come first
     steps = (forth * steps + _HOUR_NS) % day - _HOUR_NS
-    if (steps > 18 * _HOUR_NS).any():
-        row = int(np.argmax(steps > 18 * _HOUR_NS)) + 1
-        before = shown(cells.columns[column][row - 1])
-        cells.refuse(
-            row,
-            column,
-            f"comes after {before}, and no date tells the days apart; name the column of dates in clock.field, too",
-        )
+    if (row := first_true(steps > 18 * _HOUR_NS)) is not None:
+        trouble = f"comes after {shown(cells.columns[column][row])}, and no date tells the days apart"
+        cells.refuse(row + 1, column, f"{trouble}; name the column of dates in clock.field, too")
     return times[:1].sum() + forth * np.concatenate([np.zeros(1, np.int64), np.cumsum(steps)])
 
 
@@ -314,10 +313,10 @@ def _dates(cells: Cells, column: str, written: Any, clock: Clock, is_zoned: bool
     except (ValueError, LookupError, OSError, TypeError) as error:
         trouble = f"dates of column {column!r} cannot be read with it ({reason_of(error)}); fix it"
         raise ArgumentError(f"clock.format or clock.zone: {trouble}") from error
-    if not known.all():
-        cells.refuse(int(np.argmin(known)), column, f"is not a time in format {wanted}; fix it, or clock.format")
-    if dates.isna().any():
-        row, where = int(np.argmax(dates.isna())), f"in {clock.zone}, where clocks were changed"
+    if (row := first_true(~known)) is not None:
+        cells.refuse(row, column, f"is not a time in format {wanted}; fix it, or clock.format")
+    if (row := first_true(dates.isna())) is not None:
+        where = f"in {clock.zone}, where clocks were changed"
         cells.refuse(row, column, f"occurred twice or never {where}; export times with their offset, or in UTC")
     return dates.as_unit("ns").asi8
 

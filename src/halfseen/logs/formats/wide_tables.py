@@ -63,9 +63,7 @@ def one_row_a_stage(cells: Cells, mapping: EventMapping, file: str) -> tuple[Cel
         )
     used = _used(mapping)
     staged = staged_columns(cells, grouped, action, used, f"{file}, wide")
-    for key, name in [("clock.field", name) for name in mapping.clock.fields] + [
-        ("clock.begin", name) for name in mapping.clock.begins
-    ]:
+    for key, name in mapping.clock.columns:
         if name in cells.columns and name not in staged:
             raise ArgumentError(
                 f"{file}, {key}: column {name!r} has one time a row; name a column by stage, or {STAGE!r}"
@@ -152,7 +150,7 @@ def staged_columns(
 def _used(mapping: EventMapping) -> set[str]:
     """All columns that a mapping names, except that of the trajectory."""
     named = {entry.field for key, entry in mapping.entries.items() if key != "trajectory" and entry.field is not None}
-    return named | {*mapping.clock.fields, *mapping.clock.begins, *_of_ending(mapping.ending)}
+    return named | {name for _, name in mapping.clock.columns} | {*_of_ending(mapping.ending)}
 
 
 def _of_ending(ending: Ending) -> list[str]:
