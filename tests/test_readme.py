@@ -42,7 +42,7 @@ def test_the_engineers_path_can_be_walked(clone):
         assert result.exit_code == 0, result.output
         printed[words[0]] = result.output
     verdict, vouched = quoted.split(". Vouched for: ")
-    assert f"\n{verdict} (said of policies learned the same way" in printed["learn"]
+    assert f"\n{verdict} (said of more cautious policies learned the same way" in printed["learn"]
     assert f"\nVouched for: {vouched}\n" in printed["learn"]
     assert "\nBetter: " in printed["evaluate"]
     assert Path("report.html").stat().st_size > 10_000

@@ -126,7 +126,8 @@ def test_what_helps_is_better_and_the_folds_are_pooled():
     assert (found.verdict, len(steps)) == ("better", 6)
     assert found.sentence.startswith("Better: it earns ")
     said = "(said of policies learned the same way from four fifths of the log and judged on the rest)."
-    assert found.sentence.endswith(said)
+    assert found.of_best.sentence.endswith(said)
+    assert replace(found, caution=2.0).sentence.endswith(said.replace("policies", "more cautious policies"))
     assert found.evaluation.num_trajectories == 200
     seen_all = evaluate(fitted.policy_, logs, against="logging", censoring="kaplan-meier")
     assert found.evaluation.difference.value < seen_all.difference.value + seen_all.difference.standard_error

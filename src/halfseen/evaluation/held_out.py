@@ -168,7 +168,8 @@ class HeldOutVerdict:
     def sentence(self) -> str:
         """The verdict, its reason, and the policies that it is about."""
         part = "four fifths" if self.num_folds == 5 else f"{self.num_folds - 1} of {self.num_folds} parts"
-        how = f"said of policies learned the same way from {part} of the log and judged on the rest"
+        kind = "policies" if self.caution == 1.0 else "more cautious policies"
+        how = f"said of {kind} learned the same way from {part} of the log and judged on the rest"
         return f"{self.verdict.capitalize()}: {self.reason} ({how})."
 
     def as_dict(self) -> dict[str, Any]:
