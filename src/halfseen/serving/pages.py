@@ -144,7 +144,7 @@ def cell_of(service: InService, answering: Answering) -> Cell:
         policy=service.digest,
         decision=recent.decision,
         seen=dict(recent.seen),
-        rule=answering.tally.facts,
+        rule=answering.tally,
         recording=recording,
         comparison=UNSET if comparison is None else comparison.facts,
         trajectories=list(recent.trajectories),

@@ -27,6 +27,7 @@ from halfseen.serving.models import DecisionAnswer, EndAnswer, RecordingProgress
 
 STOPPED = "server stopped"
 """Cause of the cut of a trajectory in progress when the server stopped."""
+NOTHING_RECORDED = RecordingProgress(None, 0, "decision")
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +61,6 @@ class SoFar(NamedTuple):
     """Whether its last attempt held; None if unknown."""
 
 
-class Waiting(NamedTuple):
-    """Decision of the stage that waits for its reward."""
-
-    action: int | str
-    object: Any = UNSET
-
-
 class RecordedTrajectories:
     """The trajectories of one cell, in a folder of logs.
 
@@ -85,6 +79,11 @@ class RecordedTrajectories:
     ------
     HalfseenError
         The folder cannot be recorded into.
+
+    Attributes
+    ----------
+    facts
+        Current state, for a client that has lost track.
     """
 
     def __init__(self, folder: Path, *, is_of_tables: bool = False, resumes: bool = False) -> None:
@@ -93,9 +92,8 @@ class RecordedTrajectories:
         self._is_of_tables, self._resumes = is_of_tables, resumes
         self._checked: Logs | None = None
         self._trajectory: TrajectoryRecorder | None = None
-        self._num_begun = 0
+        self.facts = NOTHING_RECORDED
         self._begun = Begun()
-        self._unrewarded: Waiting | None = None
         self._held: bool | None = None
         if resumes:
             self._resume()
@@ -106,8 +104,9 @@ class RecordedTrajectories:
         if self._trajectory is None:
             return
         last = [event for event in self.events if event["event"] == "stage"][-1]
-        self._num_begun, self._begun = last["stage"], Begun(last["covariates"])
-        self._unrewarded = Waiting(last["action"]) if self._trajectory.is_in_stage else None
+        waits = ("reward", last["action"]) if self._trajectory.is_in_stage else ("decision",)
+        self.facts = RecordingProgress(self._trajectory.name, last["stage"], *waits)
+        self._begun = Begun(last["covariates"])
 
     def __enter__(self) -> "RecordedTrajectories":
         return self
@@ -134,10 +133,10 @@ class RecordedTrajectories:
         if self._trajectory is not None and self._begun.is_of_cloud != is_of_cloud:
             began, other = ("a cloud", "JSON") if self._begun.is_of_cloud else ("JSON", "a cloud")
             raise Refusal(409, f"{self._where}: it came as {began}, but now {other}; keep one form throughout")
-        return self._num_begun + 1
+        return self.facts.stage + 1
 
     def _check_rewarded(self) -> None:
-        if self._unrewarded is not None:
+        if self.facts.waits_for == "reward":
             remedy = "POST it to /reward, or the trajectory's end to /end"
             raise Refusal(409, f"{self._where}: it has no reward yet; {remedy}")
 
@@ -178,13 +177,6 @@ class RecordedTrajectories:
         last = self._recorder.trajectory
         return () if last is None else last.events
 
-    @property
-    def facts(self) -> RecordingProgress:
-        """Current state, for a client that has lost track."""
-        name, waits = self._trajectory and self._trajectory.name, self._unrewarded
-        action = () if waits is None else waits
-        return RecordingProgress(name, self._num_begun, "reward" if action else "decision", *action)
-
     def decided(self, begun: Begun, reply: DecisionAnswer) -> int | str:
         """Begin a stage with a state and its decision, and return the name of the trajectory.
 
@@ -220,9 +212,8 @@ class RecordedTrajectories:
             if not isinstance(error, LogError):
                 raise
             raise Refusal(422, f"nothing is decided, as it could not be recorded: {error}") from error
-        self._begun, self._held = begun, None
-        self._trajectory, self._num_begun = trajectory, self._num_begun + 1
-        self._unrewarded = Waiting(reply.action, reply.object)
+        self._trajectory, self._begun, self._held = trajectory, begun, None
+        self.facts = RecordingProgress(trajectory.name, self.facts.stage + 1, "reward", reply.action, reply.object)
         return trajectory.name
 
     def _check_table(self, logs: Logs) -> None:
@@ -246,14 +237,14 @@ class RecordedTrajectories:
         LogError, Refusal
             A value does not fit a log; no stage is in progress.
         """
-        if self._trajectory is None or self._unrewarded is None:
+        if self._trajectory is None or self.facts.waits_for == "decision":
             raise Refusal(409, "no stage waits for a reward; POST the state to /decide first")
         if held is not None and not self._begun.is_of_cloud:
             raise Refusal(422, f"{self._where}: held is for clouds, but this came as JSON, whose objects show it")
-        if held is not None and self._unrewarded.object is None:
-            raise Refusal(422, f"{self._where}: held is {held}, but {self._unrewarded.action} moves nothing")
+        if held is not None and self.facts.object is None:
+            raise Refusal(422, f"{self._where}: held is {held}, but {self.facts.action} moves nothing")
         self._trajectory.complete_stage(reward, elapsed_s=elapsed_s)
-        self._unrewarded, self._held = None, held
+        self.facts, self._held = RecordingProgress(self.facts.trajectory, self.facts.stage, "decision"), held
         return self.facts
 
     def ended(self, cause: str | None, elapsed_s: float | None = None) -> EndAnswer:
@@ -278,14 +269,13 @@ class RecordedTrajectories:
             self._trajectory.finish(elapsed_s=elapsed_s)
         else:
             self._trajectory.cut(cause, elapsed_s=elapsed_s)
-        ended = EndAnswer(self._trajectory.name, self._num_begun, "finished" if cause is None else "cut")
-        self._trajectory, self._checked, self._num_begun, self._unrewarded = None, None, 0, None
+        ended = EndAnswer(self._trajectory.name, self.facts.stage, "finished" if cause is None else "cut")
+        self._trajectory, self._checked, self.facts = None, None, NOTHING_RECORDED
         return ended
 
     @property
     def _where(self) -> str:
-        assert self._trajectory is not None, "what waits has a trajectory"
-        return f"trajectory {self._trajectory.name}, stage {self._num_begun}"
+        return f"trajectory {self.facts.trajectory}, stage {self.facts.stage}"
 
 
 def chance_of(decision: Decision, shares: Mapping[str, float], action: str) -> float:
