@@ -3,15 +3,12 @@
 import shutil
 
 import pytest
-from asking import client_of, decided, learned, refused
+from asking import client_of, decided, flat_with, refused, written
 
 from halfseen.errors import PolicyError
-from halfseen.learning import CensoredQLearner
-from halfseen.logs import LogRecorder, Logs, read_logs
+from halfseen.logs import LogRecorder, read_logs
 from halfseen.policies import read_policy
-from halfseen.policies.folder import write_policy
 from halfseen.serving.recording import RecordedTrajectories
-from small_logs import flat_log
 
 
 def cut(client):
@@ -74,15 +71,13 @@ def test_a_log_that_cannot_hold_the_states_of_a_policy_is_refused_before_anybody
 
 
 def test_a_policy_of_other_covariates_is_not_reloaded(flat, tmp_path):
-    folder, logs = shutil.copytree(flat, tmp_path / "policy"), flat_log()
+    folder = shutil.copytree(flat, tmp_path / "policy")
     with client_of(folder, tmp_path / "logs") as client:
         before = decided(client, x1=0.1, x2=1)["policy"]
         cut(client)
-        more = Logs(logs.stages.assign(x3=logs.stages["x1"]), logs.trajectories)
-        learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x3"], reg=0.1).fit(more)
-        write_policy(learner, more, folder, overwrite=True)
+        written(folder, flat_with(x3=lambda rows: rows["x1"]), ["x1", "x3"])
         assert "takes a number as 'x3'" in refused(client.post("/reload"), 422)
         assert decided(client, x1=0.1, x2=1)["policy"] == before
         cut(client)
-        write_policy(learned(reg=5.0).fit(logs), logs, folder, overwrite=True)
+        written(folder, reg=5.0)
         assert client.post("/reload").json()["policy"] != before

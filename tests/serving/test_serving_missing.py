@@ -6,14 +6,13 @@ from shutil import copytree
 import numpy as np
 import pandas as pd
 import pytest
-from asking import OF_ACT, client_of, refused
+from asking import OF_ACT, client_of, ended, refused, rewarded, written
 from click.testing import CliRunner
 
 from halfseen.cli.act import act
-from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
 from halfseen.logs.missing import LAST, MEDIAN
-from halfseen.policies.folder import read_policy, write_policy
+from halfseen.policies.folder import read_policy
 from holes import holed_log
 from text_logs import ACTIONS
 
@@ -23,10 +22,7 @@ RULES = {"x": LAST, "colour": LAST, "is_heavy": MEDIAN}
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     log = holed_log(0.3, missing=RULES)
-    learner = CensoredQLearner.of_paper(2, ACTIONS, log.stage_covariates, reg=0.1).fit(log)
-    folder = tmp_path_factory.mktemp("serving") / "policy"
-    write_policy(learner, log, folder)
-    return folder
+    return written(tmp_path_factory.mktemp("serving") / "policy", log, log.stage_covariates, ACTIONS)
 
 
 def acted(folder, state, tmp_path):
@@ -57,7 +53,7 @@ def test_within_an_episode_the_last_value_stands_and_is_recorded_as_the_policy_s
                 state["is_heavy"] = None if state["is_heavy"] is None else int(state["is_heavy"])
                 told = client.post("/decide", json=state).json()
                 assert told["filled"] == [name for name, value in state.items() if value is None]
-                client.post("/reward", json={"reward": 1.0}).raise_for_status()
+                rewarded(client)
             client.post("/end", json={"ending": "finished"}).raise_for_status()
     found = read_logs(tmp_path / "logs").stages
     for name in (*names, "is_heavy_missing"):
@@ -70,9 +66,7 @@ def test_within_an_episode_the_last_value_stands_and_is_recorded_as_the_policy_s
 def test_what_has_no_rule_is_refused_in_one_line(tmp_path):
     log = holed_log(0.3, missing=RULES)
     plain = type(log)(log.stages, log.trajectories)
-    learner = CensoredQLearner.of_paper(2, ACTIONS, ["x", "colour"], reg=0.1).fit(plain)
-    write_policy(learner, plain, tmp_path / "policy")
-    with client_of(tmp_path / "policy") as client:
+    with client_of(written(tmp_path / "policy", plain, ["x", "colour"], ACTIONS)) as client:
         for name in ("x", "colour"):
             line = refused(client.post("/decide", json={"x": 1.0, "colour": "red", name: None}), 422)
             assert f"covariate {name!r} is null" in line
@@ -82,7 +76,7 @@ def test_what_has_no_rule_is_refused_in_one_line(tmp_path):
 
 def test_a_policy_with_a_flag_records_on_after_one_without_and_the_other_way_round(folder, tmp_path):
     log, plain, serving, logs = holed_log(0.0), tmp_path / "plain", tmp_path / "policy", tmp_path / "logs"
-    write_policy(CensoredQLearner.of_paper(2, ACTIONS, ["x", "colour", "is_heavy"], reg=0.1).fit(log), log, plain)
+    written(plain, log, ["x", "colour", "is_heavy"], ACTIONS)
     copytree(plain, serving)
     with client_of(serving, logs) as client:
         client.event_hooks = {}  # what may be asked changes
@@ -90,6 +84,5 @@ def test_a_policy_with_a_flag_records_on_after_one_without_and_the_other_way_rou
             copytree(policy, serving, dirs_exist_ok=True)
             client.post("/reload").raise_for_status()
             client.post("/decide", json={"x": 0.5, "colour": "red", **seen}).raise_for_status()
-            client.post("/reward", json={"reward": 1.0}).raise_for_status()
-            client.post("/end", json={"ending": "finished"}).raise_for_status()
+            ended(client)
     assert read_logs(logs).stages["is_heavy_missing"].tolist() == [0, 1, 0]
