@@ -13,7 +13,7 @@ from jsonschema import Draft202012Validator
 
 from halfseen.cli.act import act
 from halfseen.logs import read_logs
-from halfseen.policies.rule_files import read_exploration
+from halfseen.policies.exploration import read_exploration
 from halfseen.scene import table_paths
 from halfseen.serving.app import app_of
 from halfseen.serving.limits import Bounded

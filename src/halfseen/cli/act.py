@@ -82,9 +82,9 @@ def act(
     known = law_of(law or SHIPPED) if stored.counts_views else None
     table = None
     if stored.is_table:
-        from halfseen.policies.table_observation import read_table
+        from halfseen.policies.table_observation import past_in, see_table
 
-        table = read_table(stored, cloud, history, stage, labels, known)
+        table = see_table(stored, cloud, past_in(history), stage, labels, known)
     observation = table.present if table else read_observation(stored, cloud, history, stage, labels)
     decision = decider_of(stored, extrapolates=extrapolate).decide(observation)
     decision = replace(decision, warnings=(*decision.warnings, *stored.doubts))

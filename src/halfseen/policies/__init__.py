@@ -5,7 +5,7 @@ Read down: `folder` (policies on disk) → `decision` (the interface: question, 
 `history`, `table_observation` (from a point cloud to an observation; loaded for tables only) → `observations` (from
 policies and files to deciders and observations) → `shares` (what a policy does in the states of a log) →
 `learner_choice` (the learner that suits a log). `rule_table` and `rule_files` hold rules of thumb, as policies of named
-actions and as fallbacks of a policy.
+actions and as fallbacks of a policy; `exploration` draws other actions than the best.
 """
 
 from typing import TYPE_CHECKING

@@ -120,9 +120,9 @@ def read_observation(
     """
     if stored.is_table:
         # Clouds need libraries that covariates do not.
-        from halfseen.policies.table_observation import read_table
+        from halfseen.policies.table_observation import past_in, see_table
 
-        return read_table(stored, file, history, stage, labels, law).present
+        return see_table(stored, file, past_in(history), stage, labels, law).present
     for option, given in (("--history", history), ("--labels", labels)):
         if given is not None:
             raise ArgumentError(

@@ -58,34 +58,13 @@ class TableSeen(NamedTuple):
     """A note that not all objects are cups; empty if all may be."""
 
 
-def read_table(
-    stored: StoredPolicy,
-    file: Path,
-    history: Path | None = None,
-    stage: int | None = None,
-    labels: Path | None = None,
-    law: SeenLaw | None = None,
-) -> TableSeen:
-    """Perceive the table, and place it in its trajectory by a folder of logs.
+def past_in(folder: Path | None) -> Past | None:
+    """The last trajectory of a folder of logs; None without a folder."""
+    if folder is None:
+        return None
+    from halfseen.logs import read_logs
 
-    Parameters
-    ----------
-    stored
-        A policy of tables.
-    file, history, stage, labels, law
-        As for `read_observation`.
-
-    Raises
-    ------
-    HalfseenError
-        A file cannot be read, or does not fit the policy.
-    """
-    past = None
-    if history is not None:
-        from halfseen.logs import read_logs
-
-        past = Past(read_logs(history), folder=history)
-    return see_table(stored, file, past, stage, labels, law)
+    return Past(read_logs(folder), folder=folder)
 
 
 def see_table(

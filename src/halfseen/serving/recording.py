@@ -2,11 +2,6 @@
 
 A decision begins a stage, and a trajectory if none is in progress. A reward completes the stage. Then comes the next
 decision, or the end. `LogRecorder` stores the log, and the client supplies only what it needs.
-
-Exploration draws another action than the best, so that the log shows the value of other actions. With ε and k possible
-actions, the best is taken with probability 1 − ε + ε/k and each other one with ε/k: every possible action has a
-probability above 0, which the log records. With an exploration table, only the actions that it names are drawn, each
-with its own probability, in the states that it names.
 """
 
 from collections.abc import Mapping
@@ -15,16 +10,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
-import numpy as np
 from msgspec import UNSET
 
-from halfseen.errors import LogError
+from halfseen.errors import LogError, PolicyError
 from halfseen.logs import Logs
+from halfseen.logs.columns import shown
+from halfseen.logs.missing import is_flag
 from halfseen.logs.recorder import LogRecorder, TrajectoryRecorder
-from halfseen.policies.decision import Decision
-from halfseen.serving.fitting import fitted, refuse_other_columns
 from halfseen.serving.models import DecisionAnswer, EndAnswer, RecordingProgress, Refusal
 
+TEXT, TRUTH = "text", "truth value"
 STOPPED = "server stopped"
 """Cause of the cut of a trajectory in progress when the server stopped."""
 NOTHING_RECORDED = RecordingProgress(None, 0, "decision")
@@ -141,16 +136,33 @@ class RecordedTrajectories:
             raise Refusal(409, f"{self._where}: it has no reward yet; {remedy}")
 
     def refuse_other_columns(self, policy: Any) -> None:
-        """Refuse a policy whose states this log cannot hold; errors as in `halfseen.serving.fitting`."""
-        refuse_other_columns(policy, self._recorder.kinds, self._folder)
+        """Refuse to continue a log in which the states of a policy of named actions cannot be recorded.
+
+        Raises
+        ------
+        PolicyError
+            The log lacks a covariate of the policy, or has text where the policy takes numbers, or the other way round.
+        """
+        kinds, filling = self._recorder.kinds, getattr(policy, "filling", None)
+        if kinds is None:
+            return
+        flags = () if filling is None else filling.flags
+        for name in getattr(policy, "covariates", ()):
+            kind, wants_text = kinds.get(name), name in policy.categories
+            if name not in flags if kind is None else (kind == TEXT) != wants_text:
+                has = "lacks it" if kind is None else f"has a {kind} there"
+                wants = "text" if wants_text else "a number"
+                raise PolicyError(
+                    f"the policy takes {wants} as {shown(name)}, but {self._folder} {has}; record into another folder"
+                )
 
     def fitted(self, begun: Begun) -> tuple[Begun, list[str]]:
-        """A stage as this log holds it, and warnings; as in `halfseen.serving.fitting`."""
-        covariates, doubts = fitted(begun.covariates, self._recorder.kinds)
+        """A stage as this log holds it, so that no decision is lost to a client's change; and warnings."""
+        covariates, doubts = _fitted(begun.covariates, self._recorder.kinds)
         if begun.objects is None or not self._recorder.kinds_of_objects:
             return replace(begun, covariates=covariates), doubts
         kinds = {"object": "name", **self._recorder.kinds_of_objects}
-        rows = [fitted(row, kinds) for row in begun.objects]
+        rows = [_fitted(row, kinds) for row in begun.objects]
         doubts += dict.fromkeys(f"of objects, {doubt}" for _, of_row in rows for doubt in of_row)
         return replace(begun, covariates=covariates, objects=[row for row, _ in rows]), doubts
 
@@ -278,59 +290,20 @@ class RecordedTrajectories:
         return f"trajectory {self.facts.trajectory}, stage {self.facts.stage}"
 
 
-def chance_of(decision: Decision, shares: Mapping[str, float], action: str) -> float:
-    """Probability with which `taken` takes an action."""
-    possible = {name: share for name, share in shares.items() if decision.q_values.get(name) is not None}
-    rest = 1.0 - sum(possible.values()) if action == str(decision.action) else 0.0
-    return rest + possible.get(action, 0.0)
+def _fitted(covariates: Mapping[str, Any], kinds: Mapping[str, str] | None) -> tuple[dict[str, Any], list[str]]:
+    """Covariates, or columns of an object, as the log holds them, and a warning for each that is not recorded.
 
-
-class Taken(NamedTuple):
-    """The action taken, and its probability."""
-
-    decision: Decision
-    """Decision with the action taken; its reason says if the action was drawn."""
-    probability: float
-    """Probability of the action; above 0."""
-    is_explored: bool
-    """Whether an action other than the best was drawn."""
-
-
-def uniform_shares(decision: Decision, epsilon: float) -> dict[str, float]:
-    """ε/k for each possible action."""
-    possible = [name for name, q in decision.q_values.items() if q is not None]
-    return {name: epsilon / len(possible) for name in possible} if epsilon > 0.0 else {}
-
-
-def taken(decision: Decision, shares: Mapping[str, float], rng: np.random.Generator) -> Taken:
-    """Take the action of a decision, or draw one to explore.
-
-    Parameters
-    ----------
-    decision
-        Decision of the policy, with the Q of each possible action.
-    shares
-        Probability with which each action is drawn; the share of an impossible action goes to the decision.
-    rng
-        Random generator; not used if nothing can be drawn.
-
-    Examples
-    --------
-    >>> best = Decision("A", {"A": 1.0, "B": 0.5, "C": None}, "A: worth 0.50 more than B.")
-    >>> taken(best, {}, np.random.default_rng(0)).probability
-    1.0
-    >>> shares = uniform_shares(best, 0.5)
-    >>> drawn = [taken(best, shares, np.random.default_rng(seed)) for seed in range(99)]
-    >>> sorted({(one.decision.action, one.probability) for one in drawn})
-    [('A', 0.75), ('B', 0.25)]
+    Truth values become 0 and 1 where the log has numbers, and the other way round. `kinds` are as in
+    `LogRecorder.kinds`; None for a log that begins.
     """
-    possible = {name: share for name, share in shares.items() if decision.q_values.get(name) is not None}
-    if not possible:
-        return Taken(decision, 1.0, False)
-    best, luck = str(decision.action), rng.random()
-    reached = np.cumsum(list(possible.values()))
-    drawn = [*possible, best][int(np.searchsorted(reached, luck, side="right"))]
-    if drawn == best:
-        return Taken(decision, 1.0 - float(reached[-1]) + possible.get(best, 0.0), False)
-    reason = f"{drawn}: drawn to explore; otherwise the policy takes {decision.reason}"
-    return Taken(replace(decision, action=type(decision.action)(drawn), reason=reason), possible[drawn], True)
+    if kinds is None:
+        return dict(covariates), []
+    new = [name for name in covariates if name not in kinds and not is_flag(name, kinds)]
+    kept = {name: _as(kinds.get(name), value) for name, value in covariates.items() if name not in new}
+    return kept, [f"{shown(name)} is not in the log so far, and is not recorded" for name in new]
+
+
+def _as(kind: str | None, value: Any) -> Any:
+    if kind == TRUTH and not isinstance(value, bool) and value in (0, 1):
+        return bool(value)
+    return int(value) if isinstance(value, bool) and kind not in (None, TRUTH) else value

@@ -18,12 +18,12 @@ from msgspec import UNSET
 from halfseen.logs.columns import DECIDED_BY, RULE
 from halfseen.monitoring.dealing import POLICY
 from halfseen.policies.decision import Decision
-from halfseen.policies.rule_files import ExplorationTable
+from halfseen.policies.exploration import ExplorationTable, Taken, chance_of, taken, uniform_shares
 from halfseen.serving.comparing import LiveComparison
 from halfseen.serving.in_service import InService, SteppedBack, asked, taken_into_service
 from halfseen.serving.models import DecisionAnswer, EndAnswer, Health, RecordingProgress, Refusal, StepBacks
 from halfseen.serving.questions import AskedState
-from halfseen.serving.recording import RecordedTrajectories, Taken, chance_of, taken, uniform_shares
+from halfseen.serving.recording import RecordedTrajectories
 from halfseen.serving.watching import Recent
 
 if TYPE_CHECKING:
