@@ -29,16 +29,12 @@ __all__ = [
     "read_mapping",
 ]
 
-__getattr__ = lazy_names(
-    __name__,
-    {
-        "Answering": "served",
-        "CellMapping": "opcua.mapping",
-        "LiveComparison": "comparing",
-        "RecordedTrajectories": "recording",
-        "Served": "served",
-        "Wire": "opcua.wire",
-        "app_of": "app",
-        "read_mapping": "opcua.mapping",
-    },
-)
+_NAMES = {
+    "app": "app_of",
+    "comparing": "LiveComparison",
+    "opcua.mapping": "CellMapping read_mapping",
+    "opcua.wire": "Wire",
+    "recording": "RecordedTrajectories",
+    "served": "Answering Served",
+}
+__getattr__ = lazy_names(__name__, {name: module for module, names in _NAMES.items() for name in names.split()})
