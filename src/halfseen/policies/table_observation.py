@@ -82,10 +82,17 @@ def see_table(
     ----------
     stored
         A policy of tables.
-    file, stage, labels, law
-        As for `read_observation`.
+    file
+        A point cloud.
     past
         The trajectory so far; None at its beginning.
+    stage
+        The stage to decide, from 1; None for that of the trajectory so far, or 1.
+    labels
+        Which objects look dirty, in the format of `halfseen.perception.read_labels`; None for the colours of the cloud,
+        if it has any.
+    law
+        A cell's law of labels and grips; None for the assumed law of labels.
     horizon
         Last stage that is accepted; None for the policy's.
 
