@@ -4,9 +4,11 @@ import json
 from contextlib import contextmanager, nullcontext
 from functools import cache, partial
 
+from click.testing import CliRunner
 from jsonschema import Draft202012Validator
 from starlette.testclient import TestClient
 
+from halfseen.cli.act import act
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies.folder import write_policy
@@ -86,6 +88,14 @@ def refused(response, status):
     assert line
     assert "\n" not in line
     return line
+
+
+def acted(folder, tmp_path, *words, **state):
+    """What ``halfseen act --json`` says of a state."""
+    file = tmp_path / "state.json"
+    file.write_text(json.dumps(state))
+    done = CliRunner().invoke(act, [str(folder), str(file), "--json", *words], catch_exceptions=False)
+    return {name: told for name, told in json.loads(done.output).items() if name not in OF_ACT}
 
 
 def decided(client, **state):

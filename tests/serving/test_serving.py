@@ -7,7 +7,7 @@ from collections import Counter
 import httpx2
 import numpy as np
 import pytest
-from asking import OF_ACT, client_of, ended, flat_with, refused, resolved, written
+from asking import OF_ACT, acted, client_of, ended, flat_with, refused, resolved, written
 from click.testing import CliRunner
 from jsonschema import Draft202012Validator
 
@@ -32,14 +32,6 @@ def flat(tmp_path_factory):
 def asked(flat):
     with client_of(flat) as client:
         yield client
-
-
-def acted(folder, tmp_path, *words, **state):
-    """What ``halfseen act --json`` says of a state."""
-    file = tmp_path / "state.json"
-    file.write_text(json.dumps(state))
-    done = CliRunner().invoke(act, [str(folder), str(file), "--json", *words], catch_exceptions=False)
-    return {name: told for name, told in json.loads(done.output).items() if name not in OF_ACT}
 
 
 def test_it_says_what_act_says(asked, flat, tmp_path):
