@@ -1,4 +1,4 @@
-"""What a request lacks is filled in as act does, and what it holds is recorded as the policy saw it and the log began."""
+"""What a request lacks is filled in as act does; what it holds is recorded as the policy saw it and the log began."""
 
 from shutil import copytree
 
