@@ -17,7 +17,7 @@ from halfseen.learning import CensoredQLearner
 from halfseen.perception import perceive, read_cloud, write_pcd
 from halfseen.policies import read_policy
 from halfseen.policies.folder import write_policy
-from halfseen.policies.observations import read_observation
+from halfseen.policies.table_observation import past_in, see_table
 from halfseen.scene import table_paths
 from halfseen.world import TableWorld, UniformPolicy, WorldConfig
 from halfseen.world.seeing import label_evidence
@@ -176,7 +176,7 @@ def coloured(tmp_path_factory):
 
 
 def log_odds_of(policy, cloud, **more):
-    return np.asarray(read_observation(read_policy(policy), cloud, **more).state.log_odds)
+    return np.asarray(see_table(read_policy(policy), cloud, **more).present.state.log_odds)
 
 
 def test_colour_moves_the_log_odds_by_what_a_label_says(tables, coloured):
@@ -211,7 +211,7 @@ def test_a_label_is_worth_what_the_law_says_to_a_policy_that_counts_views(tables
     assert read_policy(policy).record["schema"]["counts_views"]
     positive = law.seeing.positive(view.scene().occlusion, 0.0)
     expected = label_evidence(*positive, np.array([True, *[False] * 4]))
-    told, plain = (read_observation(read_policy(policy), file, law=law).state for file in (cloud, TABLE))
+    told, plain = (see_table(read_policy(policy), file, law=law).present.state for file in (cloud, TABLE))
     np.testing.assert_allclose(told.log_odds - plain.log_odds, expected, rtol=1e-4)
     np.testing.assert_allclose(told.grip, law.scene(view).grip, rtol=1e-5)
     chances = 1 / (1 + np.exp(-told.log_odds.astype(float)))
@@ -221,8 +221,8 @@ def test_a_label_is_worth_what_the_law_says_to_a_policy_that_counts_views(tables
 
 
 def test_a_history_tells_what_was_seen_before_and_what_it_holds_is_not_counted_again(refused, tables, begun, coloured):
-    held = log_odds_of(tables, TABLE, history=begun)
-    np.testing.assert_array_equal(log_odds_of(tables, coloured[0], history=begun), held)
+    held = log_odds_of(tables, TABLE, past=past_in(begun))
+    np.testing.assert_array_equal(log_odds_of(tables, coloured[0], past=past_in(begun)), held)
     assert "are not counted again: the history holds" in run(tables, coloured[0], "--history", begun)
     report, fresh = report_of(tables, TABLE, "--history", begun), report_of(tables, TABLE)
     assert report["stage"] == 1

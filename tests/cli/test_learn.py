@@ -13,8 +13,8 @@ from halfseen.evaluation.exploring import Exploration, Region
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogStream, stream
 from halfseen.logs.formats import write_csv
+from halfseen.policies.exploration import read_exploration
 from halfseen.policies.folder import read_policy
-from halfseen.policies.rule_files import read_exploration
 from halfseen.world.logs import states_of
 from small_logs import flat_log, log_of, table_log
 

@@ -52,7 +52,7 @@ def cell(num, seed, chances=(0.9, 0.9), policy=None, swaps=False, are_alike=Fals
 
 
 def learned(folder, logs):
-    learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x", "z"], reg=1e-3).fit(logs)
+    learner = CensoredQLearner.of_paper(1, ["A", "B"], logs.stage_covariates, reg=1e-3).fit(logs)
     write_policy(learner, logs, folder, verdict=VERDICT)
     return read_policy(folder)
 
@@ -407,11 +407,7 @@ def coloured(num, seed, policy=None, new=()):
 
 @pytest.fixture(scope="module")
 def of_colours(tmp_path_factory):
-    logs = coloured(500, 0)
-    learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x", "z", "colour"], reg=1e-3).fit(logs)
-    folder = tmp_path_factory.mktemp("policies") / "coloured"
-    write_policy(learner, logs, folder, verdict=VERDICT)
-    return read_policy(folder)
+    return learned(tmp_path_factory.mktemp("policies") / "coloured", coloured(500, 0))
 
 
 def test_a_category_that_was_never_seen_is_named_and_stops_nothing(of_colours):

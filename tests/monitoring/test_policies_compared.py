@@ -231,23 +231,26 @@ def test_what_is_said():
     assert " a trajectory" in found
 
 
+def check_false_verdicts(draw):
+    false = sum(beats_at(counted(draw()), 0.0, dealing.PROMOTES) is not None for _ in range(300))
+    assert false <= 300 * dealing.PROMOTES + 3.0 * np.sqrt(300 * dealing.PROMOTES)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("chance", [0.2, 0.5])
 @pytest.mark.parametrize("cut", [0.0, 0.4, 1.2])
 def test_false_verdicts_are_rare_at_any_time(chance, cut):
-    rng, false = np.random.default_rng(8), 0
-    for _ in range(300):
-        of = counted(drawn(200, rng, chance=chance, cut=cut))
-        false += beats_at(of, 0.0, dealing.PROMOTES) is not None
-    assert false <= 300 * dealing.PROMOTES + 3.0 * np.sqrt(300 * dealing.PROMOTES)
+    rng = np.random.default_rng(8)
+    check_false_verdicts(lambda: drawn(200, rng, chance=chance, cut=cut))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("rate", [0.05, 0.5, 0.95])
 def test_false_verdicts_are_rare_where_success_is_rare_or_usual(rate):
-    rng, false = np.random.default_rng(9), 0
-    for _ in range(300):
+    rng = np.random.default_rng(9)
+
+    def draw():
         courses = drawn(200, rng, chance=0.2, num_stages=1)
-        of = counted(courses._replace(reward=(rng.random(200) < rate).astype(float)))
-        false += beats_at(of, 0.0, dealing.PROMOTES) is not None
-    assert false <= 300 * dealing.PROMOTES + 3.0 * np.sqrt(300 * dealing.PROMOTES)
+        return courses._replace(reward=(rng.random(200) < rate).astype(float))
+
+    check_false_verdicts(draw)

@@ -57,9 +57,9 @@ class NaiveMyopic:
         shown = [1.0 - self.hides[i][j] for j in range(self.num) if self.there[j] and j != without]
         return 1.0 - float(np.prod(shown))
 
-    def posterior(self, i):
+    def posterior(self, i, *more):
         weights = WEIGHTS.copy()
-        for robot, target, occluded, held in self.attempts:
+        for robot, target, occluded, held in (*self.attempts, *more):
             if target == i:
                 for g, node in enumerate(NODES):
                     chance = self.laws[robot](occluded, self.stds[robot] * node)[0]
@@ -78,11 +78,7 @@ class NaiveMyopic:
 
     def after(self, i, held):
         """Weights of the nodes once the robot that decides has tried."""
-        weights = self.weights[i].copy()
-        for g, node in enumerate(NODES):
-            chance = self.laws[self.me](self.occluded(i), self.stds[self.me] * node)[0]
-            weights[g] *= chance if held else 1.0 - chance
-        return weights / weights.sum()
+        return self.posterior(i, (self.me, i, self.occluded(i), held))
 
     def crew(self, with_me):
         return [r for r in range(2) if (with_me if r == self.me else not self.gone[r])]

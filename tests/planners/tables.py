@@ -4,10 +4,11 @@ import numpy as np
 from naive_planner import CONFIG, Cup
 
 from halfseen.arrays import mapped
-from halfseen.planners import GreedyPolicy
-from halfseen.planners.rollout import draws_of, opened, picked, successor
-from halfseen.world import TableState, random
-from halfseen.world.state import NO_ATTEMPT
+from halfseen.planners import GreedyPolicy, rollout
+from halfseen.world import TableState, UniformPolicy, random
+from halfseen.world.rollout import play
+from halfseen.world.state import NO_ATTEMPT, pad_scenes
+from picked import picked
 
 TWO = np.array([[0.0, 0.6], [0.1, 0.0]])
 THREE = np.array([[0.0, 0.6, 0.3], [0.1, 0.0, 0.2], [0.4, 0.05, 0.0]])
@@ -19,6 +20,13 @@ def rules_of(config):
     return [GreedyPolicy(config, uses_history=h, counts_penalty=p) for h in (False, True) for p in (False, True)]
 
 
+def met_by_lot(config, scene, num_episodes):
+    """States along the way of somebody who acts by lot, one by one."""
+    episodes = play(config, pad_scenes([scene]), UniformPolicy(), random.key_of(0), num_episodes)
+    states = picked(episodes.states, episodes.is_taken)
+    return [picked(states, k) for k in range(len(states.steps_to_go))]
+
+
 def state_of_few(cups=CUPS, hides=THREE, steps_to_go=6):
     """Pad to three objects."""
     return state_of(cups, hides, steps_to_go, num_padding=3 - len(cups))
@@ -26,10 +34,10 @@ def state_of_few(cups=CUPS, hides=THREE, steps_to_go=6):
 
 def drawn_successors(config, state, choice, num):
     """What is believed after so many attempts at one table, each by draws of its own; the axis of draws last."""
-    search = opened(config, mapped(lambda leaf: np.asarray(leaf)[None], state))
-    table, look = picked((search.table, search.look), np.zeros(num, dtype=np.int64))
-    draws = draws_of(random.keys_of(random.key_of(0), num), 1, state.num_objects)[0]
-    return successor(config, table, look, np.full(num, choice), draws)
+    search = rollout.opened(config, mapped(lambda leaf: np.asarray(leaf)[None], state))
+    table, look = rollout.picked((search.table, search.look), np.zeros(num, dtype=np.int64))
+    draws = rollout.draws_of(random.keys_of(random.key_of(0), num), 1, state.num_objects)[0]
+    return rollout.successor(config, table, look, np.full(num, choice), draws)
 
 
 def state_of(cups, hides, steps_to_go=10, num_padding=0):

@@ -21,12 +21,9 @@ from halfseen.planners.belief import (
 )
 from halfseen.planners.one_step import one_step_q
 from halfseen.planners.rollout import sampled_values
-from halfseen.world import AssumedGrasping, AssumedSeeing, Scene, UniformPolicy, WorldConfig, random
-from halfseen.world.rollout import play
+from halfseen.world import AssumedGrasping, AssumedSeeing, Scene, WorldConfig, random
 from halfseen.world.seeing import label_evidence
-from halfseen.world.state import pad_scenes
-from picked import picked
-from tables import THREE, TWO, drawn_successors, state_of
+from tables import THREE, TWO, drawn_successors, met_by_lot, state_of
 
 GRID = np.linspace(-6.0, 6.0, 1201)
 NORMAL = np.exp(-(GRID**2) / 2)
@@ -116,9 +113,7 @@ def test_grips_that_show_hold_under_the_assumed_laws_too():
 @pytest.fixture(scope="module")
 def played():
     """States along the way of somebody who acts by lot, on three cups over four steps."""
-    episodes = play(replace(FITTED, horizon=4), pad_scenes([SCENE]), UniformPolicy(), random.key_of(0), 40)
-    states = picked(episodes.states, episodes.is_taken)
-    return [picked(states, k) for k in range(len(states.steps_to_go))]
+    return met_by_lot(replace(FITTED, horizon=4), SCENE, 40)
 
 
 def test_beliefs_of_grips_are_those_of_bayes(played):

@@ -16,10 +16,9 @@ from halfseen.errors import ArgumentError
 from halfseen.planners import POMDPPolicy, information_relaxation_bound, relaxation, solve_table
 from halfseen.world import AssumedGrasping, AssumedSeeing, Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.policy import surely
-from halfseen.world.rollout import evaluate, play
+from halfseen.world.rollout import evaluate
 from halfseen.world.state import pad_scenes
-from picked import picked
-from tables import THREE, TWO, rules_of, state_of
+from tables import THREE, TWO, met_by_lot, rules_of, state_of
 
 ALIKE = np.array([[0.0, 0.3], [0.3, 0.0]])
 GRIPPED = Scene(TWO, grip=np.array([-1.0, 0.5]))
@@ -125,10 +124,7 @@ def test_what_cannot_be_found_is_refused(find, arguments, message):
 @pytest.fixture(scope="module")
 def played():
     """States along the way of somebody who acts by lot, on two cups over four steps."""
-    config = WorldConfig(horizon=4)
-    episodes = play(config, pad_scenes([Scene(TWO)]), UniformPolicy(), random.key_of(0), 16)
-    states = picked(episodes.states, np.asarray(episodes.is_taken))
-    return [picked(states, k) for k in range(len(states.steps_to_go))]
+    return met_by_lot(WorldConfig(horizon=4), Scene(TWO), 16)
 
 
 def cups_of(state):

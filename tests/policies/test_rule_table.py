@@ -10,8 +10,7 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.learning.discrete_policy import NamedActionPolicy
 from halfseen.policies import Rule, read_rule_table
 from halfseen.policies.decision import Decision
-from halfseen.policies.rule_files import MOST_EXPLORED, as_csv, read_exploration
-from halfseen.serving.recording import taken
+from halfseen.policies.exploration import MOST_EXPLORED, as_csv, read_exploration, taken
 
 PARTS = pd.DataFrame({"weight_kg": [2.0, 1.5, 0.2, 2.9], "shine": [0.9, 0.7, 0.1, 0.5], "colour": list("rgbr")})
 CSV = "stage,weight_kg,shine,action\n> 2,,,hand over\n,> 1.5 and <= 2.5,,parallel\n,,> 0.5,suction\n,,,soft\n"

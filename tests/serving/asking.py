@@ -4,22 +4,40 @@ import json
 from contextlib import contextmanager, nullcontext
 from functools import cache, partial
 
+from click.testing import CliRunner
 from jsonschema import Draft202012Validator
 from starlette.testclient import TestClient
 
+from halfseen.cli.act import act
 from halfseen.learning import CensoredQLearner
+from halfseen.logs import Logs
+from halfseen.policies.folder import write_policy
 from halfseen.serving.app import app_of
 from halfseen.serving.pages import described
 from halfseen.serving.recording import RecordedTrajectories
 from halfseen.serving.served import Answering, Served
+from small_logs import flat_log
 
 OF_ACT = {"policy", "input", "learned_from"}
 """What `act` says of the folder and the file that it was given, and a server does not with each decision."""
 RULE = "stage,x1,action\n1,> 0,A\n1,,B\n,,A\n"
 
 
-def learned(reg=0.1, **options):
-    return CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=reg, **options)
+STAGES = {1: ["A", "B"], 2: ["A", "C"]}
+
+
+def flat_with(**columns):
+    """The small log of named actions, with other columns of its stages."""
+    logs = flat_log()
+    return Logs(logs.stages.assign(**columns), logs.trajectories)
+
+
+def written(folder, logs=None, covariates=("x1", "x2"), actions=STAGES, reg=0.1, **options):
+    """Learn a policy of two stages from a log, and write it in place of what is there."""
+    logs = flat_log() if logs is None else logs
+    learner = CensoredQLearner.of_paper(2, actions, covariates, reg=reg, **options).fit(logs)
+    write_policy(learner, logs, folder, overwrite=True)
+    return folder
 
 
 @contextmanager
@@ -72,10 +90,28 @@ def refused(response, status):
     return line
 
 
+def acted(folder, tmp_path, *words, **state):
+    """What ``halfseen act --json`` says of a state."""
+    file = tmp_path / "state.json"
+    file.write_text(json.dumps(state))
+    done = CliRunner().invoke(act, [str(folder), str(file), "--json", *words], catch_exceptions=False)
+    return {name: told for name, told in json.loads(done.output).items() if name not in OF_ACT}
+
+
 def decided(client, **state):
     answer = client.post("/decide", json=state)
     assert answer.status_code == 200, answer.text
     return answer.json()
+
+
+def rewarded(client, reward=1.0):
+    client.post("/reward", json={"reward": reward}).raise_for_status()
+
+
+def ended(client, reward=1.0):
+    """The stage in progress brings a reward, and is the last."""
+    rewarded(client, reward)
+    client.post("/end", json={"ending": "finished"}).raise_for_status()
 
 
 def run(client, rng, num, gain=0.0, cut=0.0, *, is_clocked=True):

@@ -2,11 +2,11 @@ import json
 
 import numpy as np
 import pytest
-from asking import learned
+from asking import written
 
 from halfseen.learning import CensoredQLearner
 from halfseen.policies.folder import write_policy
-from small_logs import HIDES, flat_log, table_log
+from small_logs import HIDES, table_log
 
 
 @pytest.fixture(scope="session")
@@ -21,9 +21,7 @@ def tables(tmp_path_factory):
 @pytest.fixture(scope="session")
 def flat(tmp_path_factory):
     """A policy of named actions, of two stages."""
-    folder, logs = tmp_path_factory.mktemp("serving") / "flat", flat_log()
-    write_policy(learned().fit(logs), logs, folder)
-    return folder
+    return written(tmp_path_factory.mktemp("serving") / "flat")
 
 
 @pytest.fixture(scope="session")

@@ -8,17 +8,16 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from asking import RULE, client_of, decided, learned, run
+from asking import RULE, client_of, decided, ended, run, written
 
 from chromium import PAGES, faults_of, in_browser
 from halfseen.logs import read_logs
 from halfseen.monitoring import monitored
 from halfseen.monitoring.dealing import Terms
-from halfseen.policies.folder import read_policy, write_policy
+from halfseen.policies.folder import read_policy
 from halfseen.serving.comparing import LiveComparison
 from halfseen.serving.in_service import taken_into_service
 from halfseen.serving.watching import MOST_TRAJECTORIES, Recent, Watch, found_of
-from small_logs import flat_log
 
 VOID = {"meta", "br", "link", "path", "use", "rect", "image"}
 
@@ -178,8 +177,7 @@ def test_a_policy_is_watched_by_what_it_decided_itself(flat, tmp_path, monkeypat
 
         def watched():
             watch._next_s = 0.0
-            asked.post("/reward", json={"reward": 1.0})
-            asked.post("/end", json={"ending": "finished"})
+            ended(asked)
             watch._thread.join()
             found = asked.get("/state").json()["monitor"]
             return found and (found["num_trajectories"], found["notes"][0].partition(":")[0])
@@ -190,7 +188,7 @@ def test_a_policy_is_watched_by_what_it_decided_itself(flat, tmp_path, monkeypat
         decided(asked, x1=0.1, x2=1)
         assert watched()[0] == 2
         decided(asked, x1=0.1, x2=1)
-        write_policy(learned(reg=5.0).fit(flat_log()), flat_log(), folder, overwrite=True)
+        written(folder, reg=5.0)
         other = asked.post("/reload").json()["policy"]
         assert asked.get("/state").json()["monitor"] is None
         assert "holds a different policy than the one in use" in found_of(folder, logs, digest)["error"]

@@ -7,20 +7,17 @@ from collections import Counter
 import httpx2
 import numpy as np
 import pytest
-from asking import OF_ACT, client_of, learned, refused, resolved
+from asking import OF_ACT, acted, client_of, ended, flat_with, refused, resolved, written
 from click.testing import CliRunner
 from jsonschema import Draft202012Validator
 
 from halfseen.cli.act import act
-from halfseen.learning import CensoredQLearner
-from halfseen.logs import Logs, read_logs
-from halfseen.policies.folder import write_policy
-from halfseen.policies.rule_files import read_exploration
+from halfseen.logs import read_logs
+from halfseen.policies.exploration import read_exploration
 from halfseen.scene import table_paths
 from halfseen.serving.app import app_of
 from halfseen.serving.limits import Bounded
 from halfseen.serving.served import Served
-from small_logs import flat_log
 
 SEEN = {"x1": 0.4, "x2": 1, "colour": "red"}
 NOT_OF_ACT = {"probability", "is_explored"}
@@ -28,23 +25,13 @@ NOT_OF_ACT = {"probability", "is_explored"}
 
 @pytest.fixture(scope="module")
 def flat(tmp_path_factory):
-    folder, logs = tmp_path_factory.mktemp("serving") / "flat", flat_log()
-    write_policy(learned(0.1, pessimism=1.0).fit(logs), logs, folder)
-    return folder
+    return written(tmp_path_factory.mktemp("serving") / "flat", pessimism=1.0)
 
 
 @pytest.fixture
 def asked(flat):
     with client_of(flat) as client:
         yield client
-
-
-def acted(folder, tmp_path, *words, **state):
-    """What ``halfseen act --json`` says of a state."""
-    file = tmp_path / "state.json"
-    file.write_text(json.dumps(state))
-    done = CliRunner().invoke(act, [str(folder), str(file), "--json", *words], catch_exceptions=False)
-    return {name: told for name, told in json.loads(done.output).items() if name not in OF_ACT}
 
 
 def test_it_says_what_act_says(asked, flat, tmp_path):
@@ -162,7 +149,7 @@ def test_what_is_decided_becomes_a_log_with_probabilities(flat, tmp_path):
     assert (logs.num_trajectories, int(logs.is_finished.sum())) == (24, 18)
     assert set(logs.stages["probability"].round(9)) == {0.8, 0.2}
     assert 2 <= sum(p < 0.5 for _, p in taken) <= 20
-    learned(0.1).fit(logs)
+    written(tmp_path / "next", logs)
 
 
 def test_a_trajectory_in_progress_is_told_and_cut_when_the_server_stops(flat, tmp_path):
@@ -210,17 +197,12 @@ def test_a_draw_is_as_likely_as_it_says(flat):
 
 
 def test_actions_that_are_numbers_stay_numbers_where_they_are_drawn(tmp_path):
-    logs = flat_log()
-    numbered = logs.stages.assign(action=logs.stages["action"].map({"A": 1, "B": 2, "C": 3}))
-    logs = Logs(stages=numbered, trajectories=logs.trajectories)
-    learner = CensoredQLearner.of_paper(2, {1: [1, 2], 2: [1, 3]}, ["x1", "x2"], reg=0.1)
-    write_policy(learner.fit(logs), logs, tmp_path / "policy")
-    taken = []
-    with client_of(tmp_path / "policy", tmp_path / "logs", epsilon=0.9) as client:
+    logs, taken = flat_with(action=lambda rows: rows["action"].map({"A": 1, "B": 2, "C": 3})), []
+    policy = written(tmp_path / "policy", logs, actions={1: [1, 2], 2: [1, 3]})
+    with client_of(policy, tmp_path / "logs", epsilon=0.9) as client:
         for _ in range(12):
             taken.append(client.post("/decide", json=SEEN).json()["action"])
-            client.post("/reward", json={"reward": 1.0})
-            client.post("/end", json={"ending": "finished"})
+            ended(client)
     assert set(taken) == {1, 2}
     assert read_logs(tmp_path / "logs").stages["action"].tolist() == taken
 
@@ -239,11 +221,10 @@ def test_a_table_says_what_is_tried_where_and_the_log_holds_its_probability(flat
 
 
 def test_a_reload_changes_the_policy_and_a_bad_one_changes_nothing(flat, tmp_path):
-    folder, logs = tmp_path / "policy", flat_log()
-    write_policy(learned(0.1).fit(logs), logs, folder)
+    folder = written(tmp_path / "policy")
     with client_of(folder) as client:
         before = client.post("/decide", json=SEEN).json()
-        write_policy(learned(5.0).fit(logs), logs, folder, overwrite=True)
+        written(folder, reg=5.0)
         assert client.post("/decide", json=SEEN).json() == before
         digest = client.post("/reload").json()["policy"]
         after = client.post("/decide", json=SEEN).json()
@@ -390,8 +371,7 @@ def test_a_table_as_a_log_has_it_is_decided_and_recorded(tables, objects, tmp_pa
     with client_of(tables, tmp_path / "logs") as client:
         told = client.post("/decide", json={"objects": objects}).json()
         assert told["action"] == " ".join(str(one) for one in (told["verb"], told["object"]) if one is not None)
-        client.post("/reward", json={"reward": 1.0})
-        client.post("/end", json={"ending": "finished"})
+        ended(client)
         assert "a policy without tables" in refused(client.post("/decide", files={"cloud": ("t.pcd", b"")}), 409)
         wrong = [{**one, "location": "NOWHERE"} for one in objects]
         assert "NOWHERE" in refused(client.post("/decide", json={"objects": wrong}), 422)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from asking import client_of, decided, refused
+from asking import client_of, decided, flat_with, refused, rewarded, written
 from click.testing import CliRunner
 
 from halfseen.cli.evaluate import evaluate
@@ -15,7 +15,7 @@ from halfseen.cli.serve import serve
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, read_logs
-from halfseen.policies.folder import read_policy, write_policy
+from halfseen.policies.folder import read_policy
 from halfseen.policies.folder.log_facts import actions_taken
 from halfseen.policies.rule_files import fall_back_of, usual_actions
 from halfseen.serving.served import Served
@@ -27,6 +27,10 @@ WITHIN = {"x1": 0.0, "x2": 1}
 @pytest.fixture(scope="module")
 def logs():
     return flat_log()
+
+
+def coloured():
+    return flat_with(colour=lambda rows: np.where(rows["x1"] > 0, "red", "blue"))
 
 
 def usual(logs, stage):
@@ -72,12 +76,9 @@ def test_a_hair_outside_the_rule_decides_where_that_is_wanted_and_the_ends_are_w
 
 
 def test_the_ends_of_what_was_logged_in_single_precision_are_within_however_they_are_written(tmp_path):
-    logs, rng = flat_log(), np.random.default_rng(0)
-    x1 = rng.choice(np.array([0.1, 0.2, 0.3], dtype=np.float32), len(logs.stages))
-    logs = Logs(logs.stages.assign(x1=x1), logs.trajectories)
-    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1)
-    write_policy(learner.fit(logs), logs, tmp_path / "policy")
-    with client_of(tmp_path / "policy", served={"stays_within": True}) as client:
+    rng, single = np.random.default_rng(0), np.array([0.1, 0.2, 0.3], dtype=np.float32)
+    policy = written(tmp_path / "policy", flat_with(x1=lambda rows: rng.choice(single, len(rows))))
+    with client_of(policy, served={"stays_within": True}) as client:
         for value in (0.1, 0.3, *map(float, np.float32([0.1, 0.3]))):
             assert "stepped_back" not in decided(client, x1=value, x2=1)
         for value in (0.0999999, 0.3000001):
@@ -110,12 +111,9 @@ def test_a_rule_that_asks_for_what_the_policy_does_not_is_told_of(flat, tmp_path
     assert "rule.csv: the rule asks for x_1, which the policy does not use; if a request lacks it" in told.output
     assert "did you mean 'x1'?" in told.output
     assert isinstance(told.exception, ArgumentError)
-    logs = flat_log()
-    logs = Logs(logs.stages.assign(colour=np.where(logs.stages["x1"] > 0, "red", "blue")), logs.trajectories)
-    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "colour"], reg=0.1)
-    write_policy(learner.fit(logs), logs, tmp_path / "policy")
+    policy = written(tmp_path / "policy", coloured(), ["x1", "colour"])
     (tmp_path / "rule.csv").write_text("colour,action\nred or blue,B\n!= Red,C\nblue,A\n,A\n")
-    told = CliRunner().invoke(serve, [str(tmp_path / "policy"), *words[1:]]).output
+    told = CliRunner().invoke(serve, [str(policy), *words[1:]]).output
     assert "rule.csv: the rule asks for colour = red or blue, which no log showed" in told
     assert "rule.csv: the rule asks for colour != Red, which no log showed; did you mean 'red'?" in told
     assert told.count("the rule asks for") == 2
@@ -156,12 +154,8 @@ def test_a_decision_that_comes_too_late_is_dropped_for_the_rules(flat, monkeypat
 
 
 def test_a_new_category_is_outside_the_logs(tmp_path):
-    logs = flat_log()
-    stages = logs.stages.assign(colour=np.where(logs.stages["x1"] > 0, "red", "blue"))
-    logs = Logs(stages=stages, trajectories=logs.trajectories)
-    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "colour"], reg=0.1)
-    write_policy(learner.fit(logs), logs, tmp_path / "policy")
-    with client_of(tmp_path / "policy") as client:
+    logs = coloured()
+    with client_of(written(tmp_path / "policy", logs, ["x1", "colour"])) as client:
         told = decided(client, x1=0.1, colour="mauve")
         assert (told["action"], told["stepped_back"]) == (usual(logs, 1), "out-of-range")
         assert "colour is 'mauve', which does not occur in the logs." in told["reason"]
@@ -171,15 +165,12 @@ def test_a_new_category_is_outside_the_logs(tmp_path):
 
 
 def test_a_category_that_comes_as_a_number_is_text_in_the_log(tmp_path):
-    logs = flat_log()
-    logs = Logs(logs.stages.assign(part=np.where(logs.stages["x1"] > 0, "4711", "12a")), logs.trajectories)
-    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "part"], reg=0.1)
-    write_policy(learner.fit(logs), logs, tmp_path / "policy")
-    with client_of(tmp_path / "policy", tmp_path / "logs") as client:
+    logs = flat_with(part=lambda rows: np.where(rows["x1"] > 0, "4711", "12a"))
+    with client_of(written(tmp_path / "policy", logs, ["x1", "part"]), tmp_path / "logs") as client:
         client.event_hooks = {}  # it is taken, but not described
         for part in (4711, "12a", "4711", "new"):
             decided(client, x1=0.1, part=part)
-            client.post("/reward", json={"reward": 1.0})
+            rewarded(client)
     assert read_logs(tmp_path / "logs").stages["part"].tolist() == ["4711", "12a", "4711", "new"]
 
 

@@ -56,6 +56,13 @@ class Played(Controller):
         self.values |= {"stage": stage, **covariates, **outcome, "request": self.values["request"] + 1}
 
 
+def asking(**more):
+    """A controller with its first request."""
+    controller = Played()
+    controller.ask(1, {"x1": 0.1, "x2": 1}, **more)
+    return controller
+
+
 class Side:
     """Halfseen's side, which may be killed and begun again on the same log."""
 
@@ -200,8 +207,7 @@ def test_the_action_is_there_before_its_number_and_how_it_stands_is_told(side):
     ],
 )
 def test_what_is_doubtful_is_not_acted_on_until_it_is_good_and_both_are_told_once(side, doubts, values, told):
-    controller = Played()
-    controller.ask(1, {"x1": 0.1, "x2": 1})
+    controller = asking()
     good, controller.values, controller.doubts = controller.values, {**controller.values, **values}, doubts
     for _ in range(2):
         facts = side.look(controller)
@@ -218,8 +224,7 @@ def test_what_is_doubtful_is_not_acted_on_until_it_is_good_and_both_are_told_onc
 
 @pytest.mark.parametrize("ending", ["Finished", "FINISHED", " finished "])
 def test_a_trajectory_that_finished_in_other_letters_is_not_cut(side, ending):
-    controller = Played()
-    controller.ask(1, {"x1": 0.1, "x2": 1}, ending=" ")
+    controller = asking(ending=" ")
     side.look(controller)
     controller.ask(2, {"x1": 0.1, "x2": 1}, ending=ending, reward=1.5, elapsed_s=2.0)
     assert side.look(controller).state == "Ready"
@@ -237,8 +242,7 @@ def test_a_trajectory_that_finished_in_other_letters_is_not_cut(side, ending):
     ],
 )
 def test_a_reward_that_is_none_is_not_recorded(side, outcome, doubts):
-    controller = Played()
-    controller.ask(1, {"x1": 0.1, "x2": 1})
+    controller = asking()
     side.look(controller)
     controller.ask(2, {"x1": 0.1, "x2": 1}, **{"elapsed_s": 2.0, **outcome})
     controller.doubts = doubts
@@ -284,8 +288,7 @@ def test_a_second_halfseen_that_answers_the_same_controller_is_told(side):
 
 def test_a_trajectory_that_no_comparison_dealt_is_cut_where_one_begins(flat, tmp_path):
     side = Side(flat, tmp_path)
-    controller = Played()
-    controller.ask(1, {"x1": 0.1, "x2": 1})
+    controller = asking()
     side.look(controller)
     side.is_compared = True
     side.begin_again()
@@ -294,8 +297,7 @@ def test_a_trajectory_that_no_comparison_dealt_is_cut_where_one_begins(flat, tmp
 
 
 def test_what_goes_wrong_in_halfseen_is_told_and_the_wire_stays(side, monkeypatch, capsys):
-    controller = Played()
-    controller.ask(1, {"x1": 0.1, "x2": 1})
+    controller = asking()
 
     async def broken(look):
         raise ZeroDivisionError

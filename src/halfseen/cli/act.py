@@ -68,7 +68,7 @@ def act(
     """
     from halfseen.policies import decider_of, read_policy
     from halfseen.policies.folder.stored import UNDECIDED, refuse_team, sources_in_words
-    from halfseen.policies.observations import read_observation
+    from halfseen.policies.observations import read_covariates
 
     if picture is not None:
         refuse_output(picture, "a picture", PICTURES, overwrite, [cloud, *([labels] if labels else [])])
@@ -82,10 +82,10 @@ def act(
     known = law_of(law or SHIPPED) if stored.counts_views else None
     table = None
     if stored.is_table:
-        from halfseen.policies.table_observation import read_table
+        from halfseen.policies.table_observation import past_in, see_table
 
-        table = read_table(stored, cloud, history, stage, labels, known)
-    observation = table.present if table else read_observation(stored, cloud, history, stage, labels)
+        table = see_table(stored, cloud, past_in(history), stage, labels, known)
+    observation = table.present if table else read_covariates(stored, cloud, history, stage, labels)
     decision = decider_of(stored, extrapolates=extrapolate).decide(observation)
     decision = replace(decision, warnings=(*decision.warnings, *stored.doubts))
     where = {"stage": observation.stage, "horizon": stored.horizon}

@@ -193,10 +193,10 @@ def learn(
     with Progress(total, "start") as bar, noted() as of_library:
         from halfseen.learning.discrete_policy import more_cautious_learner
         from halfseen.logs.stream import parts_of
+        from halfseen.policies.exploration import as_csv
         from halfseen.policies.folder import read_policy, write_policy
         from halfseen.policies.folder.record import plain
         from halfseen.policies.learner_choice import learner_for
-        from halfseen.policies.rule_files import as_csv
         from halfseen.policies.shares import action_shares
 
         targets, log, prior = _targets(cuts), _opened(logs, streaming, missing, since), _prior_law(prior_law)

@@ -313,8 +313,7 @@ def _of_cloud(
         return
     from halfseen.policies import decider_of, read_policy
     from halfseen.policies.folder.stored import UNDECIDED, refuse_team
-    from halfseen.policies.observations import read_observation
-    from halfseen.tables.present import Present
+    from halfseen.policies.table_observation import past_in, see_table
 
     stored = read_policy(policy)
     refuse_team(stored, UNDECIDED, policy)
@@ -325,8 +324,7 @@ def _of_cloud(
     if history is None:
         dirt = first_look(view, cloud, labels, schema["dirty_share"], *([known.seeing] if known else []))
         yield watched_cloud(cloud, view, None, None, 0, dirt)
-    now = read_observation(stored, file, history, None, labels, known)
-    assert isinstance(now, Present), "a policy of tables decides where a table's trajectory stands"
+    now = see_table(stored, file, past_in(history), None, labels, known).present
     yield watched_cloud(cloud, view, now, decider_of(stored, extrapolates=True).decide(now), stored.horizon)
 
 

@@ -21,7 +21,7 @@ from halfseen.errors import ArgumentError, did_you_mean
 
 if TYPE_CHECKING:
     from halfseen.logs import LogRecorder
-    from halfseen.policies.rule_files import ExplorationTable
+    from halfseen.policies.exploration import ExplorationTable
     from halfseen.serving.opcua.wire import Wire
     from halfseen.serving.served import Served
 
@@ -248,7 +248,7 @@ def _wire(served: "Served", controller: str, mapping: Path) -> "Wire":
 
 
 def _table(stored: Any, path: Path) -> "ExplorationTable":
-    from halfseen.policies.rule_files import read_exploration
+    from halfseen.policies.exploration import read_exploration
 
     if stored.is_table:
         raise ArgumentError(f"--explore {path}: the policy is of tables of objects; give a share, such as 0.1")

@@ -74,9 +74,7 @@ _FLAT = 1e-10
 """Fraction of the curvature added in case the loss is flat."""
 
 
-def log_chances(
-    utility: Float[np.ndarray, "*S A"], is_possible: Bool[np.ndarray, "*#S A"]
-) -> Float[np.ndarray, "*S A"]:
+def log_chances(utility: Float[Any, "*S A"], is_possible: Bool[Any, "*#S A"]) -> Float[Any, "*S A"]:
     """Log probability of each action [nat]; −inf where it is not possible."""
     among = np.where(is_possible, utility, -np.inf)
     among = among - among.max(axis=-1, keepdims=True)

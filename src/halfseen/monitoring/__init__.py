@@ -36,19 +36,12 @@ __all__ = [
     "standing",
 ]
 
-__getattr__ = lazy_names(
-    __name__,
-    {
-        "BettingBounds": "outcomes",
-        "CensoredOutcomes": "outcomes",
-        "Change": "training_log",
-        "Courses": "comparison",
-        "Finding": "answer",
-        "Monitored": "answer",
-        "Standing": "dealing",
-        "Terms": "dealing",
-        "changes_in": "training_log",
-        "monitored": "monitor",
-        "standing": "dealing",
-    },
-)
+_NAMES = {
+    "answer": "Finding Monitored",
+    "comparison": "Courses",
+    "dealing": "Standing Terms standing",
+    "monitor": "monitored",
+    "outcomes": "BettingBounds CensoredOutcomes",
+    "training_log": "Change changes_in",
+}
+__getattr__ = lazy_names(__name__, {name: module for module, names in _NAMES.items() for name in names.split()})

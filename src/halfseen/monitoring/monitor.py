@@ -142,7 +142,7 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     whole: list[Stream] = []
     is_own = _is_own(logs)
     inputs, parts = own_alone(inputs, is_own), own_alone(parts, is_own)
-    payoffs = {"inputs": _ranked(inputs, logs, seed), "parts": _ranked(parts, logs, seed + 1)}
+    payoffs = {"inputs": [_ranked(inputs, logs, seed)], "parts": [_ranked(parts, logs, seed + 1)]}
     if not isinstance(policy, NamedActionPolicy):
         notes.append("the policy is for tables: only what it earns and cuts are monitored")
     elif not promise.get("parts"):
@@ -151,15 +151,14 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
         against, num = parts[:-1], logs.num_trajectories
         against += swap_streams(parts, promise["parts"], looks_at, logs, promise["stages"])
         against += move_streams(promise.get("unmoved"), logs)
-        payoffs["parts"] = np.concatenate([payoffs["parts"], _against_log(against, num)], axis=1)
+        payoffs["parts"].append(_against_log(against, num))
         whole = own_alone([whole_stream(parts, promise["parts"], num)], is_own)
-        payoffs["rewards"] = _ranked(whole, logs, seed + 2, is_less=True)
-        payoffs["promise"] = _against_log(whole, num)
+        payoffs |= {"rewards": [_ranked(whole, logs, seed + 2, is_less=True)], "promise": [_against_log(whole, num)]}
         parts = [*parts, *against]
     if looks_at.num_features > 1 and promise.get("first_states"):
-        swaps, joint = swapped_states(promise, looks_at, logs), _joint(looks_at, logs, promise["first_states"], seed)
-        of_swaps = _ranked(swaps, logs, seed + 3, is_less=True)
-        payoffs["inputs"] = np.concatenate([payoffs["inputs"], of_swaps, joint], axis=1)
+        swaps = swapped_states(promise, looks_at, logs)
+        payoffs["inputs"].append(_ranked(swaps, logs, seed + 3, is_less=True))
+        payoffs["inputs"].append(_joint(looks_at, logs, promise["first_states"], seed))
         inputs += swaps
     doubts, foreign = unknown_categories(looks_at, logs), ""
     if hasattr(policy, "decide") and isinstance(policy, NamedActionPolicy):
@@ -170,9 +169,10 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     if outcomes is not None and promise.get("value"):
         least = np.array([promise["value"]["value"] - SURELY * promise["value"]["standard_error"]])
         promised = betting.mean_payoffs(outcomes.values[:, None], outcomes.highs[:, None], least)
-        payoffs["promise"] = np.concatenate([*([payoffs["promise"]] if whole else []), promised], axis=1)
+        payoffs.setdefault("promise", []).append(promised)
     streams = {"inputs": inputs, "parts": parts, "rewards": whole, "promise": whole}
-    return Bets(logs, payoffs, streams, outcomes, tuple(notes), doubts, foreign)
+    each = {family: np.concatenate(of_family, axis=1) for family, of_family in payoffs.items()}
+    return Bets(logs, each, streams, outcomes, tuple(notes), doubts, foreign)
 
 
 def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n F"]) -> Monitored:

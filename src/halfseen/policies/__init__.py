@@ -5,7 +5,7 @@ Read down: `folder` (policies on disk) → `decision` (the interface: question, 
 `history`, `table_observation` (from a point cloud to an observation; loaded for tables only) → `observations` (from
 policies and files to deciders and observations) → `shares` (what a policy does in the states of a log) →
 `learner_choice` (the learner that suits a log). `rule_table` and `rule_files` hold rules of thumb, as policies of named
-actions and as fallbacks of a policy.
+actions and as fallbacks of a policy; `exploration` draws other actions than the best.
 """
 
 from typing import TYPE_CHECKING
@@ -36,20 +36,13 @@ __all__ = [
     "write_policy",
 ]
 
-__getattr__ = lazy_names(
-    __name__,
-    {
-        "Decider": "decision",
-        "Decision": "decision",
-        "NamedDecider": "named_decider",
-        "NamedObservation": "named_decider",
-        "Rule": "rule_table",
-        "RuleTable": "rule_table",
-        "StoredPolicy": "folder",
-        "TableDecider": "table_decider",
-        "decider_of": "observations",
-        "read_policy": "folder",
-        "read_rule_table": "rule_files",
-        "write_policy": "folder",
-    },
-)
+_NAMES = {
+    "decision": "Decider Decision",
+    "folder": "StoredPolicy read_policy write_policy",
+    "named_decider": "NamedDecider NamedObservation",
+    "observations": "decider_of",
+    "rule_files": "read_rule_table",
+    "rule_table": "Rule RuleTable",
+    "table_decider": "TableDecider",
+}
+__getattr__ = lazy_names(__name__, {name: module for module, names in _NAMES.items() for name in names.split()})

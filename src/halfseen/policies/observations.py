@@ -1,10 +1,10 @@
-"""Deciders from policies, stored or in memory; and observations from files."""
+"""Deciders from policies, stored or in memory; and states of named actions from files."""
 
 import csv
 from collections.abc import Callable, Collection
 from io import BytesIO, StringIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning.covariates import Categories
@@ -22,10 +22,6 @@ from halfseen.policies.named_decider import (
 )
 from halfseen.policies.ranges import Margins, RangesOfStage, everything, no_margins
 from halfseen.reading import json_of, read_bytes, read_text, reason_of
-
-if TYPE_CHECKING:
-    from halfseen.policies.table_observation import SeenLaw
-    from halfseen.tables.present import Present
 
 
 def decider_of(
@@ -82,57 +78,36 @@ def decider_of(
     raise ArgumentError(f"{type(policy).__name__} is not a policy; give one of named actions or of tables")
 
 
-def read_observation(
+def read_covariates(
     stored: StoredPolicy,
     file: Path,
     history: Path | None = None,
     stage: int | None = None,
     labels: Path | None = None,
-    law: "SeenLaw | None" = None,
-) -> "NamedObservation | Present":
-    """Read the observation that a policy decides from.
+) -> NamedObservation:
+    """Read the covariates that a policy of named actions decides from.
 
     Parameters
     ----------
     stored
         The policy.
     file
-        For tables a point cloud; for named actions the covariates of one state, as .json or .csv.
-    history
-        For tables, a folder of logs whose last trajectory is the one so far.
+        The covariates of one state, as .json or .csv.
+    history, labels
+        None: they are for tables (`halfseen.policies.table_observation`).
     stage
-        The stage to decide, from 1; None for that of the file or the history, or 1.
-    labels
-        For tables, which objects look dirty, in the format of `halfseen.perception.read_labels`; None for the colours
-        of the cloud, if it has any.
-    law
-        For tables, a cell's law of labels and grips; None for the assumed law of labels.
-
-    Returns
-    -------
-    NamedObservation or Present
-        The observation for the policy's decider.
+        The stage to decide, from 1; None for that of the file, or 1.
 
     Raises
     ------
     HalfseenError
-        A file cannot be read, or does not fit the policy.
+        The file cannot be read, or does not fit the policy; or an option of tables is given.
     """
-    if stored.is_table:
-        # Clouds need libraries that covariates do not.
-        from halfseen.policies.table_observation import read_table
-
-        return read_table(stored, file, history, stage, labels, law).present
     for option, given in (("--history", history), ("--labels", labels)):
         if given is not None:
             raise ArgumentError(
                 f"{option} is for tables; this policy looks only at the covariates of the stage; leave {option} out"
             )
-    return _read_covariates(stored, file, stage)
-
-
-def _read_covariates(stored: StoredPolicy, file: Path, stage: int | None = None) -> NamedObservation:
-    """Read the covariates of one stage, as for `read_observation`."""
     policy = stored.policy
     if file.suffix.lower() not in STATE_FILES:
         raise PolicyError(

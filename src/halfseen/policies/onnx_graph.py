@@ -1,164 +1,212 @@
-"""ONNX graphs of policies: the builder, the parts common to all, and the graph of named actions.
+"""ONNX graphs of NumPy formulas: a formula that is asked with the arrays of a graph adds its operators to the graph.
 
-Each function corresponds to the line of `KernelMap`, `halfseen.learning.behaviour` or `DiscretePolicy.valued` of the
-same name.
-
-The inputs of a policy of named actions are the covariates of n states as numbers, in double precision, in the order of
-`Covariates.names`, and the stage, from 1; another stage is an error. The outputs are the values that are compared, −∞
-for an impossible action, and the index of the best action, −1 where a value is NaN, as of a NaN covariate. The model's
-metadata name actions and covariates; a text covariate is encoded by an indicator of each category but the first.
+`GraphArray` answers NumPy's ufuncs, functions and indices (NEP 13 and NEP 18). It holds an example of its values, from
+which NumPy itself finds the shape and the type of each result.
 """
 
+from collections.abc import Callable, Mapping
+from functools import partial, partialmethod
 from typing import Any
 
 import numpy as np
-from onnx import TensorProto, helper, numpy_helper
-
-from halfseen.learning.discrete_policy import DiscretePolicy
-from halfseen.learning.q_space import KernelMap
+from numpy.lib.mixins import NDArrayOperatorsMixin
+from onnx import helper, numpy_helper
 
 OPSET, IR_VERSION = 18, 9
-SCORES, ACTION = "scores", "action"
-_OF = {np.float64: TensorProto.DOUBLE, np.float32: TensorProto.FLOAT}
+ARITHMETIC: dict[Any, str] = {
+    np.add: "Add",
+    np.subtract: "Sub",
+    np.multiply: "Mul",
+    np.true_divide: "Div",
+    np.power: "Pow",
+    np.negative: "Neg",
+    np.matmul: "MatMul",
+    np.maximum: "Max",
+    np.fmax: "Max",
+    np.minimum: "Min",
+    np.exp: "Exp",
+    np.log: "Log",
+    np.sqrt: "Sqrt",
+    np.tanh: "Tanh",
+    np.floor: "Floor",
+    np.bitwise_and: "And",
+    np.bitwise_or: "Or",
+    np.invert: "Not",
+}
+"""Operators whose inputs have the type of their result."""
+COMPARISONS: dict[Any, str] = {
+    np.equal: "Equal",
+    np.less: "Less",
+    np.greater: "Greater",
+    np.greater_equal: "GreaterOrEqual",
+    np.isnan: "IsNaN",
+}
+REDUCTIONS: Mapping[Any, str] = {np.sum: "ReduceSum", np.prod: "ReduceProd", np.max: "ReduceMax", np.any: "ReduceMax"}
 
 
 class OnnxGraph:
-    """Nodes and constants, added as they are used.
+    """Inputs, nodes and constants, added as they are used."""
 
-    Parameters
-    ----------
-    precision
-        ``np.float32`` or ``np.float64``, for all its numbers.
-    """
-
-    def __init__(self, precision: type) -> None:
-        self.precision = precision
+    def __init__(self) -> None:
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
+        self.inputs: list[Any] = []
 
-    def constant(self, value: Any) -> str:
-        """Add an array, and return its name; floats get the precision of the graph, and integers 64 bits."""
-        array = np.asarray(value)
-        kinds = {"f": self.precision, "i": np.int64}
-        array = array.astype(kinds.get(array.dtype.kind, array.dtype))
-        name = f"c{len(self.constants)}"
+    def input(self, name: str, example: np.ndarray, shape: tuple[int | str, ...] | None = None) -> Any:
+        """Add an input, by default of the shape of its example."""
+        self.inputs.append(_described(name, example, example.shape if shape is None else shape))
+        return GraphArray(self, name, example)
+
+    def constant(self, value: Any) -> Any:
+        """Add an array of numbers."""
+        name, array = f"c{len(self.constants)}", np.asarray(value)
         self.constants.append(numpy_helper.from_array(np.ascontiguousarray(array).reshape(array.shape), name))
-        return name
+        return GraphArray(self, name, array)
 
-    def __call__(self, operator: str, *inputs: Any, to: str | None = None, **attributes: Any) -> str:
-        """Add an operator, and return the name of its output."""
-        names = [one if isinstance(one, str) else self.constant(one) for one in inputs]
-        name = to or f"n{len(self.nodes)}"
-        self.nodes.append(helper.make_node(operator, names, [name], **attributes))
-        return name
+    def array(self, value: Any, dtype: Any) -> Any:
+        """Return a number or an array as one of the graph, of a type."""
+        return value.astype(dtype) if isinstance(value, GraphArray) else self.constant(np.asarray(value, dtype=dtype))
 
-    def as_number(self, value: str) -> str:
-        """Convert booleans or integers to floats."""
-        return self._cast(value, _OF[self.precision])
+    def node(self, operator: str, example: Any, *inputs: Any, name: str = "", **attributes: Any) -> Any:
+        """Add an operator, and return its result."""
+        name = name or f"n{len(self.nodes)}"
+        self.nodes.append(helper.make_node(operator, [each.name for each in inputs], [name], **attributes))
+        return GraphArray(self, name, np.asarray(example))
 
-    def as_count(self, value: str) -> str:
-        """Convert floats to 64-bit integers."""
-        return self._cast(value, TensorProto.INT64)
-
-    def _cast(self, value: str, kind: int) -> str:
-        name = f"n{len(self.nodes)}"
-        self.nodes.append(helper.make_node("Cast", [value], [name], to=kind))
-        return name
-
-    def total(self, value: str, axis: int, *, keeps: bool = False) -> str:
-        """Sum over an axis."""
-        return self("ReduceSum", value, np.array([axis]), keepdims=int(keeps))
-
-    def model(self, inputs: list[Any], outputs: list[Any]) -> Any:
-        """Return the graph as a model."""
-        made = helper.make_graph(self.nodes, "policy", inputs, outputs, self.constants)
+    def model(self, outputs: Mapping[str, tuple[Any, tuple[int | str, ...]]]) -> Any:
+        """Return the graph as a model with these outputs of these shapes."""
+        for name, (each, _) in outputs.items():
+            self.node("Identity", each.example, each, name=name)
+        described = [_described(name, each.example, shape) for name, (each, shape) in outputs.items()]
+        made = helper.make_graph(self.nodes, "policy", self.inputs, described, self.constants)
         return helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
 
 
-def kernel_features(graph: OnnxGraph, features: str, psi: KernelMap) -> str:
-    """ψ(x) of each row."""
-    scaled = graph("Div", graph("Sub", features, np.asarray(psi.centre)), np.asarray(psi.scale))
-    landmarks = np.asarray(psi.landmarks, dtype=np.float64)
-    square = graph.total(graph("Mul", scaled, scaled), 1, keeps=True)
-    far = graph("Add", square, np.sum(landmarks**2, axis=1))
-    distance = graph("Max", graph("Sub", far, graph("MatMul", scaled, 2.0 * landmarks.T)), np.float64(0.0))
-    smooth = graph("MatMul", graph("Exp", graph("Mul", distance, -np.float64(psi.gamma))), np.asarray(psi.projection))
-    if psi.trend is None:
-        return smooth
-    one, other = np.triu_indices(landmarks.shape[1])
-    products = graph("Mul", graph("Gather", scaled, one, axis=1), graph("Gather", scaled, other, axis=1))
-    trend = graph("Mul", graph("Concat", scaled, products, axis=1), np.asarray(psi.trend))
-    return graph("Concat", trend, smooth, axis=1)
+def _described(name: str, example: np.ndarray, shape: tuple[int | str, ...]) -> Any:
+    return helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(example.dtype), shape)
 
 
-def excess_propensity(graph: OnnxGraph, utility: str, possible: str) -> str:
-    """Excess of the log's propensity over chance, for each action; actions are the last axis."""
-    odds = graph("Softmax", graph("Where", possible, utility, np.float64(-np.inf)), axis=-1)
-    num_possible = graph.total(graph.as_number(possible), -1, keeps=True)
-    chance = graph("Div", np.float64(1.0), graph("Max", num_possible, np.float64(2.0)))
-    far = graph("Div", graph("Sub", odds, chance), graph("Sub", np.float64(1.0), chance))
-    return graph("Clip", far, np.float64(0.0), np.float64(1.0))
+class GraphArray(NDArrayOperatorsMixin):
+    """An array of a graph, by name, with an example of its values."""
+
+    def __init__(self, graph: OnnxGraph, name: str, example: np.ndarray) -> None:
+        self.graph, self.name, self.example = graph, name, example
+        self.shape, self.dtype, self.ndim, self.size = example.shape, example.dtype, example.ndim, example.size
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, out: Any = None) -> Any:
+        """Add an operator; `out` is left as it is, as formulas go on with the result."""
+        if ufunc is np.expm1:
+            return np.exp(inputs[0]) - np.ones_like(inputs[0])
+        examples = [_example_of(each) for each in inputs]
+        with np.errstate(all="ignore"):
+            found = np.asarray(ufunc(*examples))
+        dtype = found.dtype if ufunc in ARITHMETIC else np.result_type(*examples)
+        operator = (ARITHMETIC | COMPARISONS)[ufunc]
+        return self.graph.node(operator, found, *(self.graph.array(each, dtype) for each in inputs))
+
+    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        """Add the operators of a function."""
+        return FUNCTIONS[function](self.graph, *args, **kwargs)
+
+    def __getitem__(self, key: Any) -> Any:
+        """Select by numbers, slices, new axes and one array of indices."""
+        keys = key if isinstance(key, tuple) else (key,)
+        rest = [slice(None)] * (self.ndim - sum(each is not None and each is not ... for each in keys))
+        at = next((k for k, each in enumerate(keys) if each is ...), len(keys))
+        found: Any = self
+        axis = 0
+        for each in (*keys[:at], *rest, *keys[at + 1 :]):
+            if each is None:
+                found = np.expand_dims(found, axis)
+            elif not isinstance(each, slice):
+                found = np.take(found, each, axis=axis)
+            elif each != slice(None):
+                found = found.between(*each.indices(found.shape[axis])[:2], axis)
+            axis += 1 if each is None or isinstance(each, slice) else np.ndim(_example_of(each))
+        return found
+
+    def __len__(self) -> int:
+        """Length of the first axis."""
+        return self.shape[0]
+
+    @property
+    def T(self) -> Any:
+        """Transpose of a matrix."""
+        return self.graph.node("Transpose", self.example.T, self, perm=[1, 0])
+
+    def astype(self, dtype: Any) -> Any:
+        """Convert to another type."""
+        if self.dtype == dtype:
+            return self
+        kind = helper.np_dtype_to_tensor_dtype(np.dtype(dtype))
+        return self.graph.node("Cast", self.example.astype(dtype), self, to=kind)
+
+    def reshape(self, *shape: int) -> Any:
+        """Arrange in another shape."""
+        return self.graph.node("Reshape", self.example.reshape(shape), self, self.graph.constant(shape))
+
+    def between(self, begin: int, end: int, axis: int) -> Any:
+        """Slice one axis."""
+        some = np.take(self.example, range(begin, end), axis=axis)
+        return self.graph.node("Slice", some, self, *(self.graph.constant([each]) for each in (begin, end, axis)))
+
+    sum, max, any = partialmethod(np.sum), partialmethod(np.max), partialmethod(np.any)
 
 
-def choose(
-    graph: OnnxGraph,
-    possible: str,
-    scores: str,
-    margins: str | None,
-    utility: str | None,
-    behaviour_weight: float = 0.0,
-) -> None:
-    """Subtract margins from the scores, smaller ones for actions common in the log, and take the best; actions last."""
-    nothing = np.float64(-np.inf)
-    if margins is not None:
-        if utility is not None:
-            margins = graph("Mul", graph("Sub", np.float64(1.0), excess_propensity(graph, utility, possible)), margins)
-        scores = graph("Sub", scores, margins)
-    if behaviour_weight > 0:
-        prefers = graph("LogSoftmax", graph("Where", possible, utility, nothing), axis=-1)
-        scores = graph("Add", scores, graph("Mul", np.float64(behaviour_weight), prefers))
-    graph("Where", possible, scores, nothing, to=SCORES)
-    num_nan = graph.total(graph.as_number(graph("IsNaN", SCORES)), -1)
-    # Otherwise NaN would be the largest, and the first action the best.
-    is_known = graph("Equal", num_nan, np.float64(0.0))
-    graph("Where", is_known, graph("ArgMax", SCORES, axis=-1, keepdims=0), np.int64(-1), to=ACTION)
+def _example_of(value: Any) -> Any:
+    return value.example if isinstance(value, GraphArray) else value
 
 
-def place_of(graph: OnnxGraph, count: str, most: int) -> str:
-    """Index of a count from 1 to `most`; of any other an index that is refused, as a negative one would be wrapped."""
-    at = graph("Sub", count, np.int64(1))
-    return graph("Where", graph("Less", at, np.int64(0)), np.int64(most), at)
+def _reduced(function: Any, graph: OnnxGraph, array: Any, axis: int, keepdims: bool = False) -> Any:
+    found = function(array.example, axis=axis, keepdims=keepdims)
+    # ONNX has no maximum of truth values.
+    dtype = np.dtype(np.int32 if found.dtype == bool else found.dtype)
+    inputs = array.astype(dtype), graph.constant([axis])
+    return graph.node(REDUCTIONS[function], found.astype(dtype), *inputs, keepdims=int(keepdims)).astype(found.dtype)
 
 
-COVARIATES, STAGE = "covariates", "stage"
+def _where(graph: OnnxGraph, condition: Any, one: Any, other: Any) -> Any:
+    found = np.where(*map(_example_of, (condition, one, other)))
+    return graph.node("Where", found, *map(graph.array, (condition, one, other), (bool, found.dtype, found.dtype)))
 
 
-def discrete_graph(policy: DiscretePolicy) -> tuple[Any, dict[str, Any]]:
-    """Convert a policy of named actions to an ONNX model, and return its metadata."""
-    graph = OnnxGraph(np.float64)
-    at = place_of(graph, STAGE, policy.horizon)
-    possible = graph("Gather", policy.is_possible, at)
-    features = COVARIATES if policy.kernel_map is None else kernel_features(graph, COVARIATES, policy.kernel_map)
-    ones = graph("Expand", np.float64(1.0), graph("Concat", graph("Shape", COVARIATES, end=1), np.array([1]), axis=0))
-    design = graph("Concat", ones, features, axis=1)
-    each = graph("Gather", policy.coefficients, at)
-    scores = graph("MatMul", design, graph("Transpose", each, perm=[1, 0]))
-    margins = utility = None
-    if policy.margin is not None:
-        # ‖Mᵀ (1, features)‖ of each action.
-        deviations = graph("MatMul", design, graph("Gather", policy.margin, at))
-        lengths = graph("Sqrt", graph.total(graph("Mul", deviations, deviations), 2))
-        margins = graph("Transpose", lengths, perm=[1, 0])
-    if policy.margin is not None and policy.behaviour is not None:
-        utility = graph("MatMul", graph("Concat", ones, COVARIATES, axis=1), policy.behaviour.T)
-    choose(graph, possible, scores, margins, utility, policy.behaviour_weight)
-    properties = {"actions": list(policy.actions), "covariates": list(policy.looks_at.names), "horizon": policy.horizon}
-    inputs = [
-        helper.make_tensor_value_info(COVARIATES, TensorProto.DOUBLE, ["n", policy.looks_at.num_features]),
-        helper.make_tensor_value_info(STAGE, TensorProto.INT64, []),
-    ]
-    outputs = [
-        helper.make_tensor_value_info(SCORES, TensorProto.DOUBLE, ["n", len(policy.actions)]),
-        helper.make_tensor_value_info(ACTION, TensorProto.INT64, ["n"]),
-    ]
-    return graph.model(inputs, outputs), properties
+def _concatenated(graph: OnnxGraph, arrays: Any, axis: int) -> Any:
+    found = np.concatenate([*map(_example_of, arrays)], axis=axis)
+    return graph.node("Concat", found, *(graph.array(each, found.dtype) for each in arrays), axis=axis)
+
+
+def _stacked(graph: OnnxGraph, arrays: Any, axis: int) -> Any:
+    return np.concatenate([np.expand_dims(each, axis) for each in arrays], axis=axis)
+
+
+def _expanded(graph: OnnxGraph, array: Any, axis: int) -> Any:
+    return graph.node("Unsqueeze", np.expand_dims(array.example, axis), array, graph.constant([axis]))
+
+
+def _broadcast(graph: OnnxGraph, array: Any, shape: tuple[int, ...]) -> Any:
+    return graph.node("Expand", np.broadcast_to(array.example, shape), array, graph.constant(shape))
+
+
+def _taken(graph: OnnxGraph, array: Any, index: Any, axis: int = 0) -> Any:
+    found, where = np.take(array.example, _example_of(index), axis=axis), graph.array(index, np.int64)
+    return graph.node("Gather", found, array, where, axis=axis)
+
+
+def _best(graph: OnnxGraph, array: Any, axis: int) -> Any:
+    return graph.node("ArgMax", np.argmax(array.example, axis=axis), array, axis=axis, keepdims=0)
+
+
+FUNCTIONS: Mapping[Any, Callable[..., Any]] = {
+    **{each: partial(_reduced, each) for each in REDUCTIONS},
+    np.where: _where,
+    np.concatenate: _concatenated,
+    np.stack: _stacked,
+    np.expand_dims: _expanded,
+    np.broadcast_to: _broadcast,
+    np.take: _taken,
+    np.argmax: _best,
+    np.clip: lambda graph, array, low, high: np.minimum(np.maximum(array, low), high),
+    np.ones_like: lambda graph, array: graph.constant(np.ones_like(array.example)),
+    np.unique: lambda graph, array: array[None],
+}
+"""Those of a formula for one state: it has one number of steps to go, and so on."""

@@ -20,26 +20,19 @@ The same rule in TOML::
 A condition is a value, or ``<``, ``<=``, ``>``, ``>=``, ``=`` or ``!=`` and a value; several are joined by ``and``. The
 last row has no conditions, so every state matches a row.
 
-A table of exploration also has a column ``probability``, the share of the decisions in which an action is tried. There
-every matching row counts, so several actions may be tried in one state::
-
-    stage,clutter,action,probability
-    <= 1.5,<= 0.5,look,0.39
-    <= 1.5,,shake,0.19
-
 A rule is the fallback of a policy; failing that, the log's most frequent action in that stage is (`FallBack`).
 """
 
 import csv
-import io
-from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from halfseen.errors import ArgumentError, HalfseenError, did_you_mean
+from halfseen.errors import ArgumentError, HalfseenError, did_you_mean, within
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.rule_table import ACTION, COMPARISONS, STAGE, Condition, RuleRow, RuleTable
 from halfseen.reading import opened_text, read_text, reason_of, toml_of
@@ -65,12 +58,20 @@ def read_rule_table(path: str | Path, horizon: int, names: Sequence[Hashable] = 
     path, known = Path(path), {str(name): name for name in names}
     if path.suffix.lower() not in _READERS:
         raise ArgumentError(f"{path}: give a rule as a file that ends in {' or '.join(_READERS)}")
+    with reading(path, "a rule ({}); fix it there"):
+        return RuleTable(rows_of(_READERS[path.suffix.lower()](path), known), horizon)
+
+
+@contextmanager
+def reading(path: Path, what: str) -> Iterator[None]:
+    """Name a file in refusals; `what` says what it cannot be read as, with a place for the reason."""
     try:
-        return RuleTable(_rows(_READERS[path.suffix.lower()](path), known), horizon)
-    except ArgumentError as error:
-        raise ArgumentError(f"{path}: {error}") from error
+        with within(path):
+            yield
+    except HalfseenError:
+        raise
     except (OSError, ValueError, csv.Error) as error:
-        raise ArgumentError(f"{path}: it cannot be read as a rule ({reason_of(error)}); fix it there") from error
+        raise ArgumentError(f"{path}: it cannot be read as {what.format(reason_of(error))}") from error
 
 
 def named_in(kind: str, name: Any, known: Sequence[Any]) -> str:
@@ -83,7 +84,8 @@ Entries = list[tuple[dict[str, Any], Any]]
 """The conditions of each row by column, and its action."""
 
 
-def _csv_entries(path: Path, also: str | None = None) -> Entries:
+def csv_entries(path: Path, also: str | None = None) -> Entries:
+    """Read the rows of a CSV file with a column of actions, and perhaps one more."""
     with opened_text(path) as file:
         reader = csv.reader(file, skipinitialspace=True)
         head, *rows = [[cell.strip() for cell in row] for row in reader if any(cell.strip() for cell in row)] or [[]]
@@ -111,10 +113,11 @@ def _toml_entries(path: Path) -> Entries:
     return [(rule.get("when", {}), rule.get(ACTION, "")) for rule in rules]
 
 
-_READERS: dict[str, Callable[[Path], Entries]] = {".csv": _csv_entries, ".toml": _toml_entries}
+_READERS: dict[str, Callable[[Path], Entries]] = {".csv": csv_entries, ".toml": _toml_entries}
 
 
-def _rows(entries: Entries, known: Mapping[str, Hashable]) -> tuple[RuleRow, ...]:
+def rows_of(entries: Entries, known: Mapping[str, Hashable]) -> tuple[RuleRow, ...]:
+    """Interpret rows; an action that is written like a known one is that one."""
     rows = []
     for number, (asked, action) in enumerate(entries, start=1):
         if not isinstance(action, str | int) or isinstance(action, bool) or action == "":
@@ -134,7 +137,7 @@ def _condition(number: int, column: str, text: str) -> Condition:
     stripped = text.strip()
     sign = next((sign for sign in COMPARISONS if stripped.startswith(sign)), "")
     written = stripped.removeprefix(sign).strip()
-    value = _number_or_text(written)
+    value = number_or_text(written)
     is_text = isinstance(value, str)
     if not written or (is_text and (sign not in ("", "=", "!=") or column == STAGE or written[0] in "<>=!")):
         raise ArgumentError(
@@ -144,7 +147,8 @@ def _condition(number: int, column: str, text: str) -> Condition:
     return Condition(column, sign or "=", value, written)
 
 
-def _number_or_text(written: str) -> float | str:
+def number_or_text(written: str) -> float | str:
+    """A finite number, or the text as it is."""
     try:
         value = float(written)
     except ValueError:
@@ -152,107 +156,12 @@ def _number_or_text(written: str) -> float | str:
     return value if np.isfinite(value) else written
 
 
-PROBABILITY = "probability"
-MOST_EXPLORED = 0.9
-"""Largest share of the decisions of a state that may be drawn; the rest is left to the policy."""
-
-
-@dataclass(frozen=True)
-class ExplorationTable:
-    """Draws actions for exploration where its rows match.
-
-    Parameters
-    ----------
-    rows
-        Conditions and actions.
-    probability
-        Probability with which each row's action is drawn.
-    """
-
-    rows: tuple[RuleRow, ...]
-    probability: tuple[float, ...]
-
-    def shares(self, covariates: Mapping[str, Any], stage: int) -> dict[str, float]:
-        """Probability with which each action is drawn in a state; otherwise the policy decides."""
-        drawn = dict[str, float]()
-        for row, share in zip(self.rows, self.probability, strict=True):
-            if str(row.action) not in drawn and row.matches_state(covariates, stage):
-                drawn[str(row.action)] = share
-        total = sum(drawn.values())
-        return {name: share * min(1.0, MOST_EXPLORED / total) for name, share in drawn.items()}
-
-
-def read_exploration(
-    path: str | Path, actions: Sequence[Any], columns: Sequence[str], texts: Collection[str] = ()
-) -> ExplorationTable:
-    """Read a table of exploration from a CSV file.
-
-    Parameters
-    ----------
-    path
-        The file.
-    actions, columns
-        Actions that the policy may take, and columns that it looks at.
-    texts
-        Columns that hold text.
-
-    Raises
-    ------
-    ArgumentError
-        The file cannot be read or is no such table, names an action or a column unknown to the policy, or has an
-        invalid probability; the message names file and row.
-    """
-    path = Path(path)
-    try:
-        entries = _csv_entries(path, PROBABILITY)
-        written = [asked.pop(PROBABILITY, "") for asked, _ in entries]
-        rows = _rows(entries, {})
-        _check(rows, actions, columns, texts)
-        return ExplorationTable(rows, tuple(_share(k, text) for k, text in enumerate(written, start=1)))
-    except ArgumentError as error:
-        raise ArgumentError(f"{path}: {error}") from error
-    except (OSError, ValueError, csv.Error) as error:
-        raise ArgumentError(f"{path}: it cannot be read as a table of actions to try ({reason_of(error)})") from error
-
-
-def _check(rows: Sequence[RuleRow], actions: Sequence[Any], columns: Sequence[str], texts: Collection[str]) -> None:
-    known = [*columns, STAGE]
-    for number, row in enumerate(rows, start=1):
-        if str(row.action) not in map(str, actions):
-            raise ArgumentError(f"row {number}: {named_in('action', row.action, actions)}")
-        for one in row.conditions:
-            if one.column not in known:
-                raise ArgumentError(f"row {number}: {named_in('column', one.column, known)}")
-        _check_values(number, row, known, texts)
-
-
-def _check_values(number: int, row: RuleRow, known: Collection[str], texts: Collection[str]) -> None:
+def check_values(number: int, row: RuleRow, known: Collection[str], texts: Collection[str]) -> None:
     """Refuse text for a known column of numbers, and sizes for one of text."""
     for one in (one for one in row.conditions if one.column in known):
         if one.text is None if one.column in texts else isinstance(one.value, str):
             holds = "text" if one.column in texts else "numbers"
             raise ArgumentError(f"row {number}: {one.column} is {one.value!r}; give {holds}, as in the policy")
-
-
-def _share(number: int, text: str) -> float:
-    try:
-        share = float(text)
-    except ValueError:
-        share = np.nan
-    if not 0.0 < share < 1.0:
-        raise ArgumentError(f"row {number}: {PROBABILITY} is {text!r}; give a number between 0 and 1")
-    return share
-
-
-def as_csv(conditions: Sequence[Mapping[str, str]], actions: Sequence[str], shares: Sequence[float]) -> str:
-    """Write rows in the format of `read_exploration`."""
-    columns = list(dict.fromkeys(name for one in conditions for name in one))
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([*columns, ACTION, PROBABILITY])
-    for one, action, share in zip(conditions, actions, shares, strict=True):
-        writer.writerow([*(one.get(name, "") for name in columns), action, f"{share:.2g}"])
-    return text.getvalue()
 
 
 FINISH = "FINISH"
@@ -303,13 +212,11 @@ def rule_of(stored: StoredPolicy, file: Path) -> RuleTable:
         raise ArgumentError(f"{file}: rules are for named actions, not for tables of objects; leave it out")
     policy = stored.policy
     rule = read_rule_table(file, stored.horizon, policy.actions)
-    try:
+    with within(file):
         for number, row in enumerate(rule.rows, start=1):
             if row.action not in policy.actions:
                 raise ArgumentError(named_in("action", row.action, policy.actions))
-            _check_values(number, row, policy.covariates, policy.categories)
-    except ArgumentError as error:
-        raise ArgumentError(f"{file}: {error}") from error
+            check_values(number, row, policy.covariates, policy.categories)
     return rule
 
 

@@ -58,34 +58,13 @@ class TableSeen(NamedTuple):
     """A note that not all objects are cups; empty if all may be."""
 
 
-def read_table(
-    stored: StoredPolicy,
-    file: Path,
-    history: Path | None = None,
-    stage: int | None = None,
-    labels: Path | None = None,
-    law: SeenLaw | None = None,
-) -> TableSeen:
-    """Perceive the table, and place it in its trajectory by a folder of logs.
+def past_in(folder: Path | None) -> Past | None:
+    """The last trajectory of a folder of logs; None without a folder."""
+    if folder is None:
+        return None
+    from halfseen.logs import read_logs
 
-    Parameters
-    ----------
-    stored
-        A policy of tables.
-    file, history, stage, labels, law
-        As for `read_observation`.
-
-    Raises
-    ------
-    HalfseenError
-        A file cannot be read, or does not fit the policy.
-    """
-    past = None
-    if history is not None:
-        from halfseen.logs import read_logs
-
-        past = Past(read_logs(history), folder=history)
-    return see_table(stored, file, past, stage, labels, law)
+    return Past(read_logs(folder), folder=folder)
 
 
 def see_table(
@@ -103,10 +82,17 @@ def see_table(
     ----------
     stored
         A policy of tables.
-    file, stage, labels, law
-        As for `read_observation`.
+    file
+        A point cloud.
     past
         The trajectory so far; None at its beginning.
+    stage
+        The stage to decide, from 1; None for that of the trajectory so far, or 1.
+    labels
+        Which objects look dirty, in the format of `halfseen.perception.read_labels`; None for the colours of the cloud,
+        if it has any.
+    law
+        A cell's law of labels and grips; None for the assumed law of labels.
     horizon
         Last stage that is accepted; None for the policy's.
 

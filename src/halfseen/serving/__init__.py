@@ -1,10 +1,9 @@
 """A policy that answers over HTTP or OPC UA: the decisions of `halfseen act`, for a controller without Python.
 
-Reading order: `models` (requests and answers) → `limits` (access, size and time limits; the server) → `fitting` (a
-request to the columns of the log) → `recording` (decisions become the next log, with exploration and its
-probabilities) → `in_service` (a policy that was read, checked and warmed up, and its fallback rule) → `comparing`
-(which trajectories are the policy's) → `questions` (the states to decide on) → `watching` (the log against the
-promise) → `served` (one answer at a time, over either protocol) → `pages` → `app` (HTTP) and `opcua` (OPC UA).
+Reading order: `models` (requests and answers) → `limits` (access, size and time limits; the server) → `recording`
+(decisions become the next log) → `in_service` (a policy that was read, checked and warmed up, and its fallback rule) →
+`comparing` (which trajectories are the policy's) → `questions` (the states to decide on) → `watching` (the log against
+the promise) → `served` (one answer at a time, over either protocol) → `pages` → `app` (HTTP) and `opcua` (OPC UA).
 """
 
 from typing import TYPE_CHECKING
@@ -30,16 +29,12 @@ __all__ = [
     "read_mapping",
 ]
 
-__getattr__ = lazy_names(
-    __name__,
-    {
-        "Answering": "served",
-        "CellMapping": "opcua.mapping",
-        "LiveComparison": "comparing",
-        "RecordedTrajectories": "recording",
-        "Served": "served",
-        "Wire": "opcua.wire",
-        "app_of": "app",
-        "read_mapping": "opcua.mapping",
-    },
-)
+_NAMES = {
+    "app": "app_of",
+    "comparing": "LiveComparison",
+    "opcua.mapping": "CellMapping read_mapping",
+    "opcua.wire": "Wire",
+    "recording": "RecordedTrajectories",
+    "served": "Answering Served",
+}
+__getattr__ = lazy_names(__name__, {name: module for module, names in _NAMES.items() for name in names.split()})

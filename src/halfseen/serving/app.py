@@ -22,11 +22,10 @@ from starlette.routing import Route
 from halfseen.errors import HalfseenError
 from halfseen.reading import json_of
 from halfseen.serving import models
-from halfseen.serving.in_service import InService
 from halfseen.serving.limits import LARGEST_CLOUD_BYTES, LARGEST_STATE_BYTES, App, Bounded, cloud_in
 from halfseen.serving.models import DecisionAnswer, Refusal, model_of
 from halfseen.serving.pages import FORM, JSON, SECURITY, cell_of, described, description_of, page_of
-from halfseen.serving.questions import AskedState, seen_in_cloud, seen_in_state
+from halfseen.serving.questions import seen_in_cloud, seen_in_state
 from halfseen.serving.served import Served
 
 if TYPE_CHECKING:
@@ -143,13 +142,7 @@ async def _decide(served: Served, request: Request) -> DecisionAnswer:
         async with cloud_in(request) as cloud:
             return await served.decide(lambda service: seen_in_cloud(service, cloud, served.law, trajectories), check)
     state = await _object(request)
-
-    def look(service: InService) -> AskedState:
-        if trajectories is None:
-            return seen_in_state(service, state)
-        return seen_in_state(service, state, trajectories.next_stage(), trajectories.last)
-
-    return await served.decide(look, check)
+    return await served.decide(lambda service: seen_in_state(service, state, trajectories), check)
 
 
 async def _reward(served: Served, request: Request) -> models.RecordingProgress:

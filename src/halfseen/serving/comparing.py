@@ -9,7 +9,6 @@ propensities of the log describe one behaviour policy, and learning and evaluati
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -138,7 +137,8 @@ class LiveComparison:
         rows = followed(events).rows
         if rows["trajectories"][0].get(COMPARISON) != self.name or num_until_decided(self.courses) < self.courses.num:
             return
-        before, self.courses = self.standing.verdict, joined(self.courses, course_of(rows, self.policy))
+        before, course = self.standing.verdict, courses_in(rows["trajectories"], rows["stages"], self.policy)
+        self.courses = joined(self.courses, course)
         self.counted = counted(self.courses, self.counted, self.kept)
         self.standing = standing(self.courses, self.terms, self.counted, self.kept)
         if self.standing.verdict != before:
@@ -188,70 +188,50 @@ def courses_of(logs: Logs | None, policy: DiscretePolicy, name: str) -> Courses:
     name
         Value of `COMPARISON` for these trajectories.
     """
-    num_features = policy.looks_at.num_features
     if logs is None or COMPARISON not in logs.trajectories.columns:
-        none = np.zeros(0)
-        is_one = np.zeros(0, dtype=bool)
-        return Courses(is_one, none, none, is_one, none.astype(np.int64), np.zeros((0, num_features)), none, none)
+        return courses_in([], [], policy)
     is_its = logs.trajectories[COMPARISON].eq(name).fillna(False) & logs.trajectories["cause"].ne(STILL_RUNNING)
-    trajectories: Any = logs.trajectories[is_its]
-    stages: Any = logs.stages[logs.stages["trajectory"].isin(trajectories["trajectory"])]
-    # In the order of recording, even if names are text.
-    names = sorted(trajectories["trajectory"], key=lambda each: (len(str(each)), str(each)))
-    trajectories, number = trajectories.set_index("trajectory").loc[names], dict(zip(names, count(), strict=False))
-    stages = stages.iloc[np.argsort(stages["trajectory"].map(number).to_numpy(), kind="stable")]
-    for text, known in policy.categories.items():
-        stages = stages.assign(**{text: stages[text].where(stages[text].isin(list(known)), known[0])})
-    courses = Courses(
-        is_policy=trajectories[ARM].eq(POLICY).to_numpy(dtype=bool),
-        chance=trajectories[CHANCE].to_numpy(dtype=np.float64),
-        end_s=trajectories["end_s"].to_numpy(dtype=np.float64),
-        is_finished=trajectories["ending"].eq(FINISHED).to_numpy(dtype=bool),
-        trajectory=stages["trajectory"].map(number).to_numpy(dtype=np.int64),
-        state=policy.looks_at.encode(stages) if len(stages) else np.zeros((0, num_features)),
-        reward=stages["reward"].to_numpy(dtype=np.float64),
-        clock_s=stages["elapsed_s"].to_numpy(dtype=np.float64),
+    its: Any = logs.trajectories[is_its]
+    stages: Any = logs.stages[logs.stages["trajectory"].isin(its["trajectory"])]
+
+    def recorded_at(row: Mapping[str, Any]) -> tuple[int, str]:
+        """Place in the order of recording, even if names are text."""
+        return len(str(row["trajectory"])), str(row["trajectory"])
+
+    trajectories, begun = (sorted(rows.to_dict("records"), key=recorded_at) for rows in (its, stages))
+    return courses_in(trajectories, begun, policy)
+
+
+def courses_in(
+    trajectories: Sequence[Mapping[str, Any]], stages: Sequence[Mapping[str, Any]], policy: DiscretePolicy
+) -> Courses:
+    """Convert rows of trajectories, and of their stages in the same order."""
+    number = {row["trajectory"]: k for k, row in enumerate(trajectories)}
+    looks_at, first = policy.looks_at, {text: known[0] for text, known in policy.categories.items()}
+    seen = [
+        {**row, **{text: known for text, known in first.items() if not looks_at.is_known(text, row.get(text))}}
+        for row in stages
+    ]
+
+    def numbers(rows: Sequence[Mapping[str, Any]], name: str) -> Float[np.ndarray, " m"]:
+        return np.array([row[name] for row in rows], dtype=np.float64)
+
+    return Courses(
+        is_policy=np.array([row[ARM] == POLICY for row in trajectories], dtype=bool),
+        chance=numbers(trajectories, CHANCE),
+        end_s=numbers(trajectories, "end_s"),
+        is_finished=np.array([row["ending"] == FINISHED for row in trajectories], dtype=bool),
+        trajectory=np.array([number[row["trajectory"]] for row in stages], dtype=np.int64),
+        state=looks_at.encode_known(seen) if seen else np.zeros((0, looks_at.num_features)),
+        reward=numbers(stages, "reward"),
+        clock_s=numbers(stages, "elapsed_s"),
     )
-    # Same memory layout as for trajectories one by one; otherwise matrix products differ in the last bit.
-    return Courses(*map(np.ascontiguousarray, courses))
 
 
 def num_until_decided(courses: Courses) -> int:
     """Number of trajectories before the first that was not randomised. It shows the verdict; later ones add nothing."""
     is_decided = (courses.chance == 0.0) | (courses.chance == 1.0)
     return int(np.argmax(is_decided)) if is_decided.any() else courses.num
-
-
-def course_of(rows: Mapping[str, Sequence[Mapping[str, Any]]], policy: DiscretePolicy) -> Courses:
-    """Convert the rows of one trajectory, as `courses_of` does for a log.
-
-    Parameters
-    ----------
-    rows
-        As in `halfseen.logs.recorded.RecordedTrajectory`.
-    policy
-        Policy whose covariates are used.
-    """
-    (trajectory,), stages = rows["trajectories"], rows["stages"]
-    first = {text: known[0] for text, known in policy.categories.items()}
-    seen = [
-        {**row, **{text: first[text] for text in first if not policy.looks_at.is_known(text, row.get(text))}}
-        for row in stages
-    ]
-
-    def numbers(name: str) -> Float[np.ndarray, " m"]:
-        return np.array([row[name] for row in stages], dtype=np.float64)
-
-    return Courses(
-        is_policy=np.array([trajectory[ARM] == POLICY]),
-        chance=np.array([trajectory[CHANCE]], dtype=np.float64),
-        end_s=np.array([trajectory["end_s"]], dtype=np.float64),
-        is_finished=np.array([trajectory["ending"] == FINISHED]),
-        trajectory=np.zeros(len(stages), dtype=np.int64),
-        state=policy.looks_at.encode_known(seen),
-        reward=numbers("reward"),
-        clock_s=numbers("elapsed_s"),
-    )
 
 
 def joined(one: Courses, other: Courses) -> Courses:

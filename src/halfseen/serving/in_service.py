@@ -6,9 +6,8 @@ late. It decides with probability 1: which of the two decides depends on the sta
 
 import sys
 import traceback
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from halfseen.policies.folder.stored import UNDECIDED, StoredPolicy, refuse_team
 from halfseen.policies.named_decider import NamedDecider
 from halfseen.policies.ranges import middle_of
 from halfseen.policies.rule_files import FallBack, fall_back_of
-from halfseen.serving.models import StepBacks, Why
+from halfseen.serving.models import Why
 
 MOST_WARMED = 12
 """Number of objects of the largest table that is decided during warm-up."""
@@ -108,27 +107,6 @@ class SteppedBack:
 
     why: Why
     detail: str
-
-
-@dataclass
-class ServiceCounts:
-    """Counts since the server started."""
-
-    decisions: int = 0
-    by: Counter[str] = field(default_factory=Counter)
-    last: str | None = None
-
-    def add(self, back: SteppedBack | None) -> None:
-        """Count a decision."""
-        self.decisions += 1
-        if back is not None:
-            self.by[back.why] += 1
-            self.last = back.detail
-
-    @property
-    def facts(self) -> StepBacks:
-        """The counts in the answer of `/health`."""
-        return StepBacks(self.decisions, self.by.total(), dict(self.by), self.last)
 
 
 def asked(decide: Callable[[], Decision], stage: int, horizon: int) -> Decision | SteppedBack:

@@ -5,7 +5,6 @@ The server listens on one port until it is interrupted.
 
 import asyncio
 import base64
-import binascii
 import contextlib
 import hmac
 import signal
@@ -21,7 +20,7 @@ from typing import Any
 import uvicorn
 from starlette.datastructures import UploadFile
 from starlette.exceptions import HTTPException
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from halfseen.errors import ArgumentError
@@ -69,60 +68,49 @@ class Bounded:
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
+        request = Request(scope, receive)
         try:
-            headers = dict(scope["headers"])
-            self._check_asker(scope["method"], headers)
-            self._check_stated_size(headers)
-            try:
-                async with asyncio.timeout(self.slowest_s):
-                    body = await self._whole(receive)
-            except TimeoutError as error:
-                late = f"the request was not complete within {self.slowest_s:g} s; send it at once"
-                raise Refusal(408, late) from error
+            self._check_asker(request)
+            async with asyncio.timeout(self.slowest_s):
+                body = await self._whole(request)
+        except ClientDisconnect:
+            return
+        except TimeoutError:
+            late = f"the request was not complete within {self.slowest_s:g} s; send it at once"
+            await self.refuse(Refusal(408, late), scope, receive, send)
         except Refusal as refusal:
             await self.refuse(refusal, scope, receive, send)
-            return
-        if body is not None:
+        else:
             await self.app(scope, _given_once(body, receive), send)
 
-    def _check_asker(self, method: str, headers: dict[bytes, bytes]) -> None:
+    def _check_asker(self, request: Request) -> None:
         if self.token is None:
-            name = headers.get(b"host", b"").decode("latin-1")
+            name = request.headers.get("host", "")
             if (name if name.endswith("]") else name.rpartition(":")[0] or name) not in OF_THIS_MACHINE:
                 raise Refusal(403, f"host is {name!r}; this server answers only as {' or '.join(OF_THIS_MACHINE)}")
-        elif not hmac.compare_digest(_token_in(method, headers.get(b"authorization", b"")), self.token.encode()):
+        elif not hmac.compare_digest(_token_in(request), self.token.encode()):
             raise Refusal(401, "the token is missing or wrong; send the header Authorization: Bearer TOKEN")
 
-    def _check_stated_size(self, headers: dict[bytes, bytes]) -> None:
-        stated = headers.get(b"content-length", b"0")
-        if stated.isdigit() and int(stated) > self.largest_bytes:
-            raise self._too_large()
-
-    async def _whole(self, receive: Receive) -> bytes | None:
-        """Read the body; None if the client has disconnected."""
-        parts, num_bytes = [], 0
-        while True:
-            message = await receive()
-            if message["type"] != "http.request":
-                return None
-            parts.append(message.get("body", b""))
-            num_bytes += len(parts[-1])
-            if num_bytes > self.largest_bytes:
-                raise self._too_large()
-            if not message.get("more_body"):
-                return b"".join(parts)
-
-    def _too_large(self) -> Refusal:
-        return Refusal(413, f"the request has more than {self.largest_bytes:,} bytes; send less")
+    async def _whole(self, request: Request) -> bytes:
+        """Read the body, unless it is too large or says so."""
+        body, stated = bytearray(), request.headers.get("content-length", "0")
+        too_large = Refusal(413, f"the request has more than {self.largest_bytes:,} bytes; send less")
+        if stated.isdecimal() and int(stated) > self.largest_bytes:
+            raise too_large
+        async for part in request.stream():
+            body += part
+            if len(body) > self.largest_bytes:
+                raise too_large
+        return bytes(body)
 
 
-def _token_in(method: str, given: bytes) -> bytes:
+def _token_in(request: Request) -> bytes:
     """The token of a header. For pages, a browser may send it as a password; never for decisions."""
-    scheme, _, token = given.partition(b" ")
-    if scheme == b"Basic" and method == "GET":
-        with contextlib.suppress(binascii.Error):
+    scheme, _, token = request.headers.get("authorization", "").partition(" ")
+    if scheme == "Basic" and request.method == "GET":
+        with contextlib.suppress(ValueError):
             return base64.b64decode(token, validate=True).partition(b":")[2]
-    return token if scheme == b"Bearer" else b""
+    return token.encode("latin-1") if scheme == "Bearer" else b""
 
 
 def _given_once(body: bytes, receive: Receive) -> Receive:

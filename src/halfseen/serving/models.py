@@ -137,13 +137,18 @@ class Reloaded(Struct, frozen=True):
     policy: Digest
 
 
-class StepBacks(Struct, frozen=True):
+class StepBacks(Struct):
     """How often the rule decided in the policy's place, since the server began."""
 
     decisions: Annotated[int, _is("All of them.")]
     stepped_back: Annotated[int, _is("By the rule.")]
     by: Annotated[dict[str, int], _is("The same by its cause.")]
     last: Annotated[str | None, _is("Reason the last time.")]
+
+    def add(self, why: str, detail: str) -> None:
+        """Count a decision of the rule."""
+        self.stepped_back, self.last = self.stepped_back + 1, detail
+        self.by[why] = self.by.get(why, 0) + 1
 
 
 class Compared(Struct, frozen=True, kw_only=True):

@@ -6,8 +6,7 @@ Slow results about the cell are computed beforehand.
 import base64
 import hashlib
 import json
-from html import escape
-from importlib.resources import files
+from functools import partial
 from typing import Any
 from zlib import crc32
 
@@ -115,31 +114,8 @@ def _covariate(categories: Any, seen: Any, may_lack: bool) -> Schema:
 
 def description_of(api: Schema) -> str:
     """Render a description from `halfseen.serving.pages.described` as a page."""
-    css = files("halfseen.view").joinpath("page.css").read_text(encoding="utf-8")
-    title, schemas = escape(api["info"]["title"]), api["components"]["schemas"]
-    parts = [_address(path, how, each, schemas) for path, hows in api["paths"].items() for how, each in hows.items()]
-    return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-        f'<meta name="viewport" content="width=device-width"><style>{css}</style></head>\n'
-        f'<body><header><h1>{title}</h1><p>For programs: <a href="openapi.json">openapi.json</a>.</p></header>'
-        f"<main>{''.join(parts)}</main></body></html>\n"
-    )
-
-
-def _address(path: str, how: str, operation: Schema, schemas: Schema) -> str:
-    takes = operation["requestBody"]["content"] if "requestBody" in operation else {}
-    shown = (_takes(kind, schemas[each["schema"]["$ref"].removeprefix(_REFERENCE)]) for kind, each in takes.items())
-    return f"<h2>{how.upper()} {escape(path)}</h2>\n<p>{escape(operation['summary'])}</p>\n{''.join(shown)}"
-
-
-def _takes(kind: str, schema: Schema) -> str:
-    rows = "".join(
-        f"<dt><code>{escape(name)}</code></dt><dd>{'' if name in schema['required'] else 'Optional: '}"
-        f"{escape(field['description'])}</dd>"
-        for name, field in schema["properties"].items()
-    )
-    shown = [f"<pre><code>{escape(json.dumps(each, indent=1))}</code></pre>" for each in schema.get("examples", ())]
-    return f"<p>It takes {escape(kind)}, with</p><dl>{rows}</dl>{''.join(shown)}"
+    content = {"title": api["info"]["title"], "paths": api["paths"], "schemas": api["components"]["schemas"]}
+    return rendered("halfseen.serving", "api.html.j2", content, json=partial(json.dumps, indent=1))
 
 
 TEMPLATE = "halfseen.view", "cell.html.j2"
@@ -168,7 +144,7 @@ def cell_of(service: InService, answering: Answering) -> Cell:
         policy=service.digest,
         decision=recent.decision,
         seen=dict(recent.seen),
-        rule=answering.tally.facts,
+        rule=answering.tally,
         recording=recording,
         comparison=UNSET if comparison is None else comparison.facts,
         trajectories=list(recent.trajectories),

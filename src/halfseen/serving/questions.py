@@ -66,10 +66,7 @@ class AskedState:
 
 
 def seen_in_state(
-    service: InService,
-    state: Mapping[str, Any],
-    next_stage: int | None = None,
-    last: Mapping[str, Any] | None = None,
+    service: InService, state: Mapping[str, Any], trajectories: RecordedTrajectories | None = None
 ) -> AskedState:
     """Interpret a state from JSON.
 
@@ -79,18 +76,17 @@ def seen_in_state(
         The policy.
     state
         Covariates by name, or the fields of `TableRequest`; and the stage, if it is not the first.
-    next_stage
-        Next stage to record; None if nothing is recorded.
-    last
-        Recorded covariates of the previous stage; None if there is none.
+    trajectories
+        The recorder; None if nothing is recorded.
 
     Raises
     ------
     HalfseenError
         The state does not fit the policy.
     Refusal
-        Its stage differs from the next stage to record.
+        Its stage differs from the next stage to record, or that stage cannot begin.
     """
+    next_stage = None if trajectories is None else trajectories.next_stage()
     stage = checked_stage(state.get("stage", next_stage or 1), LATEST_STAGE, BODY, "")
     _check_next(stage, next_stage)
     covariates = {name: value for name, value in state.items() if name != "stage"}
@@ -102,7 +98,7 @@ def seen_in_state(
     decider = service.decider
     assert isinstance(decider, NamedDecider), "what is not of tables is of named actions"
     policy = decider.policy
-    full, filled = completed(policy, covariates, last)
+    full, filled = completed(policy, covariates, None if trajectories is None else trajectories.last)
     texts = policy.categories.items()
     new = {name: given for name, of in texts if isinstance(given := full.get(name), str) and given not in of}
     known = known_covariates(policy, {**full, **{name: policy.categories[name][0] for name in new}}, BODY)

@@ -2,11 +2,6 @@
 
 A decision begins a stage, and a trajectory if none is in progress. A reward completes the stage. Then comes the next
 decision, or the end. `LogRecorder` stores the log, and the client supplies only what it needs.
-
-Exploration draws another action than the best, so that the log shows the value of other actions. With ε and k possible
-actions, the best is taken with probability 1 − ε + ε/k and each other one with ε/k: every possible action has a
-probability above 0, which the log records. With an exploration table, only the actions that it names are drawn, each
-with its own probability, in the states that it names.
 """
 
 from collections.abc import Mapping
@@ -15,18 +10,19 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
-import numpy as np
 from msgspec import UNSET
 
-from halfseen.errors import LogError
+from halfseen.errors import LogError, PolicyError
 from halfseen.logs import Logs
+from halfseen.logs.columns import shown
+from halfseen.logs.missing import is_flag
 from halfseen.logs.recorder import LogRecorder, TrajectoryRecorder
-from halfseen.policies.decision import Decision
-from halfseen.serving.fitting import fitted, refuse_other_columns
 from halfseen.serving.models import DecisionAnswer, EndAnswer, RecordingProgress, Refusal
 
+TEXT, TRUTH = "text", "truth value"
 STOPPED = "server stopped"
 """Cause of the cut of a trajectory in progress when the server stopped."""
+NOTHING_RECORDED = RecordingProgress(None, 0, "decision")
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +56,6 @@ class SoFar(NamedTuple):
     """Whether its last attempt held; None if unknown."""
 
 
-class Waiting(NamedTuple):
-    """Decision of the stage that waits for its reward."""
-
-    action: int | str
-    object: Any = UNSET
-
-
 class RecordedTrajectories:
     """The trajectories of one cell, in a folder of logs.
 
@@ -85,6 +74,11 @@ class RecordedTrajectories:
     ------
     HalfseenError
         The folder cannot be recorded into.
+
+    Attributes
+    ----------
+    facts
+        Current state, for a client that has lost track.
     """
 
     def __init__(self, folder: Path, *, is_of_tables: bool = False, resumes: bool = False) -> None:
@@ -93,9 +87,8 @@ class RecordedTrajectories:
         self._is_of_tables, self._resumes = is_of_tables, resumes
         self._checked: Logs | None = None
         self._trajectory: TrajectoryRecorder | None = None
-        self._num_begun = 0
+        self.facts = NOTHING_RECORDED
         self._begun = Begun()
-        self._unrewarded: Waiting | None = None
         self._held: bool | None = None
         if resumes:
             self._resume()
@@ -106,8 +99,9 @@ class RecordedTrajectories:
         if self._trajectory is None:
             return
         last = [event for event in self.events if event["event"] == "stage"][-1]
-        self._num_begun, self._begun = last["stage"], Begun(last["covariates"])
-        self._unrewarded = Waiting(last["action"]) if self._trajectory.is_in_stage else None
+        waits = ("reward", last["action"]) if self._trajectory.is_in_stage else ("decision",)
+        self.facts = RecordingProgress(self._trajectory.name, last["stage"], *waits)
+        self._begun = Begun(last["covariates"])
 
     def __enter__(self) -> "RecordedTrajectories":
         return self
@@ -134,24 +128,41 @@ class RecordedTrajectories:
         if self._trajectory is not None and self._begun.is_of_cloud != is_of_cloud:
             began, other = ("a cloud", "JSON") if self._begun.is_of_cloud else ("JSON", "a cloud")
             raise Refusal(409, f"{self._where}: it came as {began}, but now {other}; keep one form throughout")
-        return self._num_begun + 1
+        return self.facts.stage + 1
 
     def _check_rewarded(self) -> None:
-        if self._unrewarded is not None:
+        if self.facts.waits_for == "reward":
             remedy = "POST it to /reward, or the trajectory's end to /end"
             raise Refusal(409, f"{self._where}: it has no reward yet; {remedy}")
 
     def refuse_other_columns(self, policy: Any) -> None:
-        """Refuse a policy whose states this log cannot hold; errors as in `halfseen.serving.fitting`."""
-        refuse_other_columns(policy, self._recorder.kinds, self._folder)
+        """Refuse to continue a log in which the states of a policy of named actions cannot be recorded.
+
+        Raises
+        ------
+        PolicyError
+            The log lacks a covariate of the policy, or has text where the policy takes numbers, or the other way round.
+        """
+        kinds, filling = self._recorder.kinds, getattr(policy, "filling", None)
+        if kinds is None:
+            return
+        flags = () if filling is None else filling.flags
+        for name in getattr(policy, "covariates", ()):
+            kind, wants_text = kinds.get(name), name in policy.categories
+            if name not in flags if kind is None else (kind == TEXT) != wants_text:
+                has = "lacks it" if kind is None else f"has a {kind} there"
+                wants = "text" if wants_text else "a number"
+                raise PolicyError(
+                    f"the policy takes {wants} as {shown(name)}, but {self._folder} {has}; record into another folder"
+                )
 
     def fitted(self, begun: Begun) -> tuple[Begun, list[str]]:
-        """A stage as this log holds it, and warnings; as in `halfseen.serving.fitting`."""
-        covariates, doubts = fitted(begun.covariates, self._recorder.kinds)
+        """A stage as this log holds it, so that no decision is lost to a client's change; and warnings."""
+        covariates, doubts = _fitted(begun.covariates, self._recorder.kinds)
         if begun.objects is None or not self._recorder.kinds_of_objects:
             return replace(begun, covariates=covariates), doubts
         kinds = {"object": "name", **self._recorder.kinds_of_objects}
-        rows = [fitted(row, kinds) for row in begun.objects]
+        rows = [_fitted(row, kinds) for row in begun.objects]
         doubts += dict.fromkeys(f"of objects, {doubt}" for _, of_row in rows for doubt in of_row)
         return replace(begun, covariates=covariates, objects=[row for row, _ in rows]), doubts
 
@@ -177,13 +188,6 @@ class RecordedTrajectories:
         """Events of the latest trajectory."""
         last = self._recorder.trajectory
         return () if last is None else last.events
-
-    @property
-    def facts(self) -> RecordingProgress:
-        """Current state, for a client that has lost track."""
-        name, waits = self._trajectory and self._trajectory.name, self._unrewarded
-        action = () if waits is None else waits
-        return RecordingProgress(name, self._num_begun, "reward" if action else "decision", *action)
 
     def decided(self, begun: Begun, reply: DecisionAnswer) -> int | str:
         """Begin a stage with a state and its decision, and return the name of the trajectory.
@@ -220,9 +224,8 @@ class RecordedTrajectories:
             if not isinstance(error, LogError):
                 raise
             raise Refusal(422, f"nothing is decided, as it could not be recorded: {error}") from error
-        self._begun, self._held = begun, None
-        self._trajectory, self._num_begun = trajectory, self._num_begun + 1
-        self._unrewarded = Waiting(reply.action, reply.object)
+        self._trajectory, self._begun, self._held = trajectory, begun, None
+        self.facts = RecordingProgress(trajectory.name, self.facts.stage + 1, "reward", reply.action, reply.object)
         return trajectory.name
 
     def _check_table(self, logs: Logs) -> None:
@@ -246,14 +249,14 @@ class RecordedTrajectories:
         LogError, Refusal
             A value does not fit a log; no stage is in progress.
         """
-        if self._trajectory is None or self._unrewarded is None:
+        if self._trajectory is None or self.facts.waits_for == "decision":
             raise Refusal(409, "no stage waits for a reward; POST the state to /decide first")
         if held is not None and not self._begun.is_of_cloud:
             raise Refusal(422, f"{self._where}: held is for clouds, but this came as JSON, whose objects show it")
-        if held is not None and self._unrewarded.object is None:
-            raise Refusal(422, f"{self._where}: held is {held}, but {self._unrewarded.action} moves nothing")
+        if held is not None and self.facts.object is None:
+            raise Refusal(422, f"{self._where}: held is {held}, but {self.facts.action} moves nothing")
         self._trajectory.complete_stage(reward, elapsed_s=elapsed_s)
-        self._unrewarded, self._held = None, held
+        self.facts, self._held = RecordingProgress(self.facts.trajectory, self.facts.stage, "decision"), held
         return self.facts
 
     def ended(self, cause: str | None, elapsed_s: float | None = None) -> EndAnswer:
@@ -278,69 +281,29 @@ class RecordedTrajectories:
             self._trajectory.finish(elapsed_s=elapsed_s)
         else:
             self._trajectory.cut(cause, elapsed_s=elapsed_s)
-        ended = EndAnswer(self._trajectory.name, self._num_begun, "finished" if cause is None else "cut")
-        self._trajectory, self._checked, self._num_begun, self._unrewarded = None, None, 0, None
+        ended = EndAnswer(self._trajectory.name, self.facts.stage, "finished" if cause is None else "cut")
+        self._trajectory, self._checked, self.facts = None, None, NOTHING_RECORDED
         return ended
 
     @property
     def _where(self) -> str:
-        assert self._trajectory is not None, "what waits has a trajectory"
-        return f"trajectory {self._trajectory.name}, stage {self._num_begun}"
+        return f"trajectory {self.facts.trajectory}, stage {self.facts.stage}"
 
 
-def chance_of(decision: Decision, shares: Mapping[str, float], action: str) -> float:
-    """Probability with which `taken` takes an action."""
-    possible = {name: share for name, share in shares.items() if decision.q_values.get(name) is not None}
-    rest = 1.0 - sum(possible.values()) if action == str(decision.action) else 0.0
-    return rest + possible.get(action, 0.0)
+def _fitted(covariates: Mapping[str, Any], kinds: Mapping[str, str] | None) -> tuple[dict[str, Any], list[str]]:
+    """Covariates, or columns of an object, as the log holds them, and a warning for each that is not recorded.
 
-
-class Taken(NamedTuple):
-    """The action taken, and its probability."""
-
-    decision: Decision
-    """Decision with the action taken; its reason says if the action was drawn."""
-    probability: float
-    """Probability of the action; above 0."""
-    is_explored: bool
-    """Whether an action other than the best was drawn."""
-
-
-def uniform_shares(decision: Decision, epsilon: float) -> dict[str, float]:
-    """ε/k for each possible action."""
-    possible = [name for name, q in decision.q_values.items() if q is not None]
-    return {name: epsilon / len(possible) for name in possible} if epsilon > 0.0 else {}
-
-
-def taken(decision: Decision, shares: Mapping[str, float], rng: np.random.Generator) -> Taken:
-    """Take the action of a decision, or draw one to explore.
-
-    Parameters
-    ----------
-    decision
-        Decision of the policy, with the Q of each possible action.
-    shares
-        Probability with which each action is drawn; the share of an impossible action goes to the decision.
-    rng
-        Random generator; not used if nothing can be drawn.
-
-    Examples
-    --------
-    >>> best = Decision("A", {"A": 1.0, "B": 0.5, "C": None}, "A: worth 0.50 more than B.")
-    >>> taken(best, {}, np.random.default_rng(0)).probability
-    1.0
-    >>> shares = uniform_shares(best, 0.5)
-    >>> drawn = [taken(best, shares, np.random.default_rng(seed)) for seed in range(99)]
-    >>> sorted({(one.decision.action, one.probability) for one in drawn})
-    [('A', 0.75), ('B', 0.25)]
+    Truth values become 0 and 1 where the log has numbers, and the other way round. `kinds` are as in
+    `LogRecorder.kinds`; None for a log that begins.
     """
-    possible = {name: share for name, share in shares.items() if decision.q_values.get(name) is not None}
-    if not possible:
-        return Taken(decision, 1.0, False)
-    best, luck = str(decision.action), rng.random()
-    reached = np.cumsum(list(possible.values()))
-    drawn = [*possible, best][int(np.searchsorted(reached, luck, side="right"))]
-    if drawn == best:
-        return Taken(decision, 1.0 - float(reached[-1]) + possible.get(best, 0.0), False)
-    reason = f"{drawn}: drawn to explore; otherwise the policy takes {decision.reason}"
-    return Taken(replace(decision, action=type(decision.action)(drawn), reason=reason), possible[drawn], True)
+    if kinds is None:
+        return dict(covariates), []
+    new = [name for name in covariates if name not in kinds and not is_flag(name, kinds)]
+    kept = {name: _as(kinds.get(name), value) for name, value in covariates.items() if name not in new}
+    return kept, [f"{shown(name)} is not in the log so far, and is not recorded" for name in new]
+
+
+def _as(kind: str | None, value: Any) -> Any:
+    if kind == TRUTH and not isinstance(value, bool) and value in (0, 1):
+        return bool(value)
+    return int(value) if isinstance(value, bool) and kind not in (None, TRUTH) else value

@@ -18,12 +18,12 @@ from msgspec import UNSET
 from halfseen.logs.columns import DECIDED_BY, RULE
 from halfseen.monitoring.dealing import POLICY
 from halfseen.policies.decision import Decision
-from halfseen.policies.rule_files import ExplorationTable
+from halfseen.policies.exploration import ExplorationTable, Taken, chance_of, taken, uniform_shares
 from halfseen.serving.comparing import LiveComparison
-from halfseen.serving.in_service import InService, ServiceCounts, SteppedBack, asked, taken_into_service
-from halfseen.serving.models import DecisionAnswer, EndAnswer, Health, RecordingProgress, Refusal
+from halfseen.serving.in_service import InService, SteppedBack, asked, taken_into_service
+from halfseen.serving.models import DecisionAnswer, EndAnswer, Health, RecordingProgress, Refusal, StepBacks
 from halfseen.serving.questions import AskedState
-from halfseen.serving.recording import RecordedTrajectories, Taken, chance_of, taken, uniform_shares
+from halfseen.serving.recording import RecordedTrajectories
 from halfseen.serving.watching import Recent
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ class Answering:
     table: ExplorationTable | None = None
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
     trajectories: RecordedTrajectories | None = None
-    tally: ServiceCounts = field(default_factory=ServiceCounts)
+    tally: StepBacks = field(default_factory=lambda: StepBacks(0, 0, {}, None))
     comparison: LiveComparison | None = None
     recent: Recent = field(default_factory=Recent)
 
@@ -242,9 +242,10 @@ class Served:
                 given = self.answering.answer(service, seen, decided)
                 await check()
                 reply = await to_thread.run_sync(self.answering.recorded, seen, given)
+            self.answering.tally.decisions += 1
             # In a comparison the rule's own trajectories do not step back.
-            back = decided if isinstance(decided, SteppedBack) and reply.stepped_back is not UNSET else None
-            self.answering.tally.add(back)
+            if isinstance(decided, SteppedBack) and reply.stepped_back is not UNSET:
+                self.answering.tally.add(decided.why, decided.detail)
             return reply
 
     async def _decided(self, service: InService, seen: AskedState) -> Decision | SteppedBack:
@@ -292,4 +293,4 @@ class Served:
         answering, kind = self.answering, self.service.stored.record["kind"]
         recording = UNSET if answering.trajectories is None else answering.trajectories.facts
         compared = UNSET if answering.comparison is None else answering.comparison.facts
-        return Health("ok", self.service.digest, kind, answering.tally.facts, recording, compared)
+        return Health("ok", self.service.digest, kind, answering.tally, recording, compared)

@@ -51,8 +51,8 @@ class GraspTable:
         place = xp.clip(occlusion(state), 0.0, 1.0) * num_cells
         below = xp.clip(xp.floor(place), 0, num_cells - 1)
         cell = below.astype(np.int32)
-        table = xp.asarray(self.probabilities)
-        low, high = (table[cell + step, successes, failures] for step in (0, 1))
+        table, size = self.probabilities.reshape(-1), most + 1
+        low, high = (xp.take(table, ((cell + step) * size + successes) * size + failures) for step in (0, 1))
         probability = low + (place - below) * (high - low)
         return probability / (1.0 + (1.0 - probability) * xp.expm1(-self.per_grip * state.grip))
 

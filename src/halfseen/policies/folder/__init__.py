@@ -34,16 +34,11 @@ __all__ = [
     "write_policy",
 ]
 
-__getattr__ = lazy_names(
-    __name__,
-    {
-        "StoredPolicy": "stored",
-        "check_target": "files",
-        "log_digest": "log_facts",
-        "q_space_of_record": "specification",
-        "read_policy": "stored",
-        "reg_of_record": "specification",
-        "targets_of_record": "specification",
-        "write_policy": "writing",
-    },
-)
+_NAMES = {
+    "files": "check_target",
+    "log_facts": "log_digest",
+    "specification": "q_space_of_record reg_of_record targets_of_record",
+    "stored": "StoredPolicy read_policy",
+    "writing": "write_policy",
+}
+__getattr__ = lazy_names(__name__, {name: module for module, names in _NAMES.items() for name in names.split()})

@@ -53,7 +53,7 @@ def log_facts(
     digest, summary, priors = LogDigest(), SummaryTally(), []
     taken: list[Counter[str]] = []
     num_ranges = len(policy.covariates) if kind.is_flat else 0
-    seen, counts, spread = [], np.zeros((2, 0), dtype=np.int64), _Spread(0, 0.0, 0.0)
+    seen, counts, spread = [], [], _Spread(0, 0.0, 0.0)
     for part in parts:
         digest.add(part)
         summary.add(part)
@@ -62,14 +62,14 @@ def log_facts(
         here = _seen_named(part, policy, is_by_stage) if kind.is_flat else _seen_tables(part)
         pairs = zip_longest(seen, here)
         seen = [_joined(one, other, num_ranges) if one and other else one or other for one, other in pairs]
-        counts = _added(counts, stage_counts(part))
+        counts = [one + other for one, other in zip_longest(counts, stage_counts(part), fillvalue=0)]
         taken = [one + other for one, other in zip_longest(taken, actions_taken(part), fillvalue=Counter())]
         spread = spread.plus(_spread_of(part))
     if kind.is_flat:
         seen = [_with_margins(each, num_ranges) for each in seen]
     facts = {
         "seen": seen,
-        "stages_left": stages_left(counts),
+        "stages_left": stages_left(np.array(counts)),
         "reward_spread": spread.deviation,
         "actions_taken": [dict(sorted(each.items())) for each in taken] if kind.is_flat else [],
     }
@@ -227,11 +227,11 @@ def _priors_joined(priors: Sequence[tuple[Any, bool, dict[str, float]]]) -> dict
     }
 
 
-def stage_counts(logs: Logs) -> Int[np.ndarray, "2 T"]:
+def stage_counts(logs: Logs) -> Int[np.ndarray, "T 2"]:
     """Numbers of trajectories that began and that completed each stage; those of parts of a log add up."""
     stage = logs.stages["stage"].to_numpy(dtype=np.int64)
     is_done = logs.stages["elapsed_s"].notna().to_numpy(dtype=bool)
-    return np.stack([np.bincount(each, minlength=logs.horizon + 1)[1:] for each in (stage, stage[is_done])])
+    return np.stack([np.bincount(each, minlength=logs.horizon + 1)[1:] for each in (stage, stage[is_done])], axis=1)
 
 
 def actions_taken(logs: Logs) -> list[Counter[str]]:
@@ -242,13 +242,7 @@ def actions_taken(logs: Logs) -> list[Counter[str]]:
     return [by_stage.get(stage, Counter()) for stage in range(1, logs.horizon + 1)]
 
 
-def _added(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    horizon = max(one.shape[1], other.shape[1])
-    padded = (np.pad(each, ((0, 0), (0, horizon - each.shape[1]))) for each in (one, other))
-    return np.add(*padded)
-
-
-def stages_left(counts: Int[np.ndarray, "2 T"]) -> list[float]:
+def stages_left(counts: Int[np.ndarray, "T 2"]) -> list[float]:
     """Mean number of stages from each to the end, by Kaplan–Meier, which corrects for cuts.
 
     Only trajectories that completed a stage show whether they went on to the next; a cut within a stage does not. The
@@ -269,7 +263,7 @@ def stages_left(counts: Int[np.ndarray, "2 T"]) -> list[float]:
     >>> stages_left(stage_counts(Logs(stages | {"reward": [1.0, 1.0, 1.0, None]}, trajectories)))
     [1.5, 1.0]
     """
-    begun, done = counts
+    begun, done = counts.T
     left = np.ones(len(begun))
     for k in range(len(left) - 2, -1, -1):
         left[k] += left[k + 1] * begun[k + 1] / max(int(done[k]), 1)

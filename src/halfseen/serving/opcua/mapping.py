@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Mapping
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -175,63 +176,11 @@ def template_of(stored: StoredPolicy) -> str:
     policy = stored.policy
     covariates = _table({str(name): f"Cell/{name}" for name in policy.covariates})
     actions = _table({str(action): code for code, action in enumerate(policy.actions)}, before="# ")
-    return TEMPLATE.format(covariates=covariates, actions=actions)
+    template = files("halfseen.serving.opcua").joinpath("mapping.toml.txt").read_text(encoding="utf-8")
+    return template.format(covariates=covariates, actions=actions)
 
 
 def _table(entries: Mapping[str, Any], before: str = "") -> str:
     """Lines of a TOML table, quoted as in JSON."""
     keys = [name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name) for name in entries]
     return "\n".join(f"{before}{key} = {json.dumps(value)}" for key, value in zip(keys, entries.values(), strict=True))
-
-
-TEMPLATE = """\
-# What `halfseen serve POLICY --opcua URL --mapping THIS_FILE --record LOGS` reads and writes at a controller.
-# A path leads from the folder Objects by browse names. "alias:Name" is in the namespace of that alias, "Name" in the
-# first.
-
-# A value that the controller stamped longer ago is not used [s]. Leave it out where values are stamped only when
-# they change.
-stale_after_s = 2.0
-
-[namespaces]
-cell = "urn:example:cell"
-
-[reads]
-# Whole number that increases by one with each request: set it last, and keep all else until it is answered.
-# 0 is no request.
-request = "Cell/Request"
-# Whole number: the stage of the trajectory, from 1.
-stage = "Cell/Stage"
-# Reward of the previous decision, and the time since the trajectory began [s]; not read in stage 1.
-reward = "Cell/Reward"
-elapsed_s = "Cell/ElapsedS"
-# Text: empty while the trajectory is in progress, "finished", or what cut it, such as "operator". An end is a request.
-ending = "Cell/Ending"
-
-[covariates]
-{covariates}
-
-[writes]
-# What to do: the name of the action, or its code below.
-action = "Cell/Action"
-# The number of the request that is answered, written once the action is there.
-decision = "Cell/Decision"
-# Text, both optional: Ready, ResultReady or Error; and why there is no decision.
-state = "Cell/PolicyState"
-error = "Cell/PolicyError"
-
-# Where the controller takes numbers:
-# [actions]
-{actions}
-
-# The password of a user is taken from the environment, HALFSEEN_OPCUA_PASSWORD.
-# [security]
-# mode = "SignAndEncrypt"  # or "Sign"
-# policy = "Basic256Sha256"
-# certificate = "halfseen.der"
-# key = "halfseen.pem"
-# server_certificate = "controller.der"
-# user = "halfseen"
-# user_certificate = "user.der"  # in place of a password
-# user_key = "user.pem"
-"""

@@ -26,7 +26,6 @@ from halfseen.serving.models import Refusal, Wired
 from halfseen.serving.opcua.controller import LOST, Controller, Snapshot, connected
 from halfseen.serving.opcua.mapping import CellMapping
 from halfseen.serving.questions import AskedState, seen_in_state
-from halfseen.serving.recording import RecordedTrajectories
 from halfseen.serving.served import Served
 
 REQUEST = "first_request"
@@ -78,11 +77,6 @@ class Wire:
             return
         if not comparison.resumed(recording.events):
             recording.ended(REQUESTS_LOST)
-
-    @property
-    def recording(self) -> RecordedTrajectories:
-        """Recorder of decisions; raises `Refusal` if nothing is recorded."""
-        return self.served.recording
 
     async def check(self) -> None:
         """Try to connect to the controller once; it may also become reachable later.
@@ -139,7 +133,9 @@ class Wire:
         seen = await controller.read()
         try:
             await self._answer(controller, seen)
-            self._note("ResultReady" if self.recording.facts.waits_for == "reward" else "Ready", None, seen["request"])
+            self._note(
+                "ResultReady" if self.served.recording.facts.waits_for == "reward" else "Ready", None, seen["request"]
+            )
         except Refusal as refusal:
             self._note("Error", refusal.answer.error)
         except HalfseenError as error:
@@ -180,12 +176,12 @@ class Wire:
 
     def _last_decision(self) -> int | None:
         """Number of the last decision of the trajectory in progress; None if there is none."""
-        first = self.recording.columns.get(REQUEST)
-        return None if first is None else first + self.recording.facts.stage - 1
+        first = self.served.recording.columns.get(REQUEST)
+        return None if first is None else first + self.served.recording.facts.stage - 1
 
     def _decided_before(self, request: int, seen: Snapshot) -> Any:
         """Logged action for this same request; None if there is none."""
-        facts, last = self.recording.facts, self.recording.last
+        facts, last = self.served.recording.facts, self.served.recording.last
         if request != self._last_decision() or facts.waits_for != "reward" or seen.ending or last is None:
             return None
         # What was missing, as null or NaN, is filled in in the log; what the log never had is left out of it.
@@ -196,7 +192,7 @@ class Wire:
 
     async def _take_outcome(self, request: int, seen: Snapshot) -> None:
         """Record the outcome of the previous decision, and the end of its trajectory."""
-        last, ending, facts = self._last_decision(), seen.ending, self.recording.facts
+        last, ending, facts = self._last_decision(), seen.ending, self.served.recording.facts
         if facts.trajectory is None:
             return
         if last is None or request != last + 1 or not (ending or seen.whole("stage") == facts.stage + 1):
@@ -211,12 +207,12 @@ class Wire:
 
     async def _decide(self, request: int, seen: Snapshot) -> int | str:
         """Decide and record the next stage."""
-        stage, next_stage = seen.whole("stage"), self.recording.next_stage()
+        stage, next_stage = seen.whole("stage"), self.served.recording.next_stage()
         if stage != next_stage:
             raise Refusal(409, f"stage is {stage}, but the log expects stage {next_stage}; end the trajectory")
         state = {**seen.covariates, "stage": stage}
         return (await self.served.decide(partial(self._seen, request, state))).action
 
     def _seen(self, request: int, state: dict[str, Any], service: InService) -> AskedState:
-        seen = seen_in_state(service, state, self.recording.next_stage(), self.recording.last)
+        seen = seen_in_state(service, state, self.served.recording)
         return replace(seen, begun=replace(seen.begun, columns={**seen.begun.columns, REQUEST: request}))
