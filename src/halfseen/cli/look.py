@@ -9,7 +9,7 @@ from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import click
 
@@ -32,21 +32,16 @@ HEAD = ["cloud", "objects", "upright", "lying", "cut", "half hidden", "most hidd
 ENDINGS = (".pcd", ".ply", ".npz")  # of cloud files in a folder
 
 
-@click.command(epilog="Example: halfseen look table.pcd --picture table.png")
-@click.argument("clouds", nargs=-1, required=True, type=options.PATH)
-@options.flag("--json", "is_json", text="Print JSON, for programs.")
-@options.path("--picture", text="Draw what is seen into this PNG file; for one cloud only.")
-@options.overwrite("a picture that is")
-@options.labels
-@options.workers
+@options.command("halfseen look table.pcd --picture table.png")
 @options.unused_seed
 def look(
     clouds: tuple[Path, ...],
-    is_json: bool,
-    picture: Path | None,
-    overwrite: bool,
-    labels: Path | None,
-    workers: "Workers",
+    *,
+    is_json: Annotated[bool, {"flags": "--json"}] = False,
+    picture: Path | None = None,
+    overwrite: bool = False,
+    labels: options.Labels = None,
+    workers: options.WorkersOption,
 ) -> None:
     """Say what stands on the table of a cloud, who hides whom, and, if it has colour, what looks dirty.
 
@@ -54,6 +49,15 @@ def look(
     green and blue if it has colour; or an .npz file with a depth image depth_m [m], a pinhole matrix K [px] and
     optionally a picture rgb. For several clouds, or a folder, there is one line for each; clouds that cannot be read,
     or show no object, are named below, and the exit status is 2.
+
+    Parameters
+    ----------
+    is_json
+        Print JSON, for programs.
+    picture
+        Draw what is seen into this PNG file; for one cloud only.
+    overwrite
+        Replace a picture that is already there.
     """
     if len(clouds) == 1 and not clouds[0].is_dir():
         if picture is not None:
@@ -209,35 +213,53 @@ def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int
     return int(first), int(last)
 
 
-@click.command(epilog="Example: halfseen watch table.pcd --policy policy")
-@click.argument("source", type=options.PATH)
-@options.path("--policy", text="For a cloud or logs: the folder of a policy of tables.")
-@options.path("--history", text="For a cloud: logs whose last trajectory is the current one.")
-@options.labels
-@options.law(None, f"For a cloud; by default {SHIPPED}. ")
-@options.path("--clouds", text="For logs: folder with the cloud of each stage.")
-@options.whole(
-    "--trajectory",
-    least=1,
-    most=options.MOST_EPISODES,
-    text="For logs: the trajectory, from 1; by default the first.",
-)
-@click.option("--stages", callback=_span, metavar="FIRST-LAST", help="Show only these stages, counted from 1.")
-@options.path(
-    "--export",
-    multiple=True,
-    text="Write it to a file instead: .html, which opens without a server, or .gif; may be given more than once.",
-)
-@options.overwrite("a file of --export that is")
-@options.port
+class Given(NamedTuple):
+    """Options that some kinds of sources take.
+
+    Parameters
+    ----------
+    policy
+        For a cloud or logs: the folder of a policy of tables.
+    history
+        For a cloud: logs whose last trajectory is the current one.
+    clouds
+        For logs: folder with the cloud of each stage.
+    trajectory
+        For logs: the trajectory, from 1; by default the first.
+    """
+
+    policy: Path | None = None
+    history: Path | None = None
+    labels: options.Labels = None
+    law: Annotated[str | None, options.law("For a cloud; by default shipped. ")] = None
+    clouds: Path | None = None
+    trajectory: Annotated[int | None, options.whole(1, options.MOST_EPISODES)] = None
+
+
+@options.command("halfseen watch table.pcd --policy policy")
 @options.unused_seed
 def watch(
-    source: Path, export: tuple[Path, ...], stages: tuple[int, int] | None, overwrite: bool, port: int, **given: Any
+    source: Path,
+    *,
+    given: Annotated[Given, options.Gathered(Given)],
+    stages: Annotated[tuple[int, int] | None, {"callback": _span, "metavar": "FIRST-LAST"}] = None,
+    export: tuple[Path, ...] = (),
+    overwrite: bool = False,
+    port: options.Port = 8080,
 ) -> None:
     """Show in the browser what was seen and decided, in 3-D, and why. Nothing leaves this machine.
 
     SOURCE is a point cloud as `halfseen look` takes it, with --policy for what is decided there; a recording, as
     `halfseen cell run --record` writes it; or a folder of logs with --clouds, as `halfseen convert` writes them.
+
+    Parameters
+    ----------
+    stages
+        Show only these stages, counted from 1.
+    export
+        Write it to a file instead: .html, which opens without a server, or .gif; may be given more than once.
+    overwrite
+        Replace a file of --export that is already there.
     """
     from halfseen.view.recording import MARKER, read_recording
 
@@ -247,7 +269,7 @@ def watch(
         raise ArgumentError(f"{source}: no such file or folder; give a cloud, a recording or a folder of logs")
     kind = "recording" if (source / MARKER).is_file() else "logs" if source.is_dir() else "cloud"
     for name, kinds in OF_KINDS.items():
-        if given[name] is not None and kind not in kinds:
+        if getattr(given, name) is not None and kind not in kinds:
             raise ArgumentError(
                 f"--{name} is for a source of kind {' or '.join(kinds)}; {source} is of kind {kind}: leave it out"
             )
@@ -255,9 +277,9 @@ def watch(
     if kind == "recording":
         runs = iter([read_recording(source)])
     elif kind == "logs":
-        runs = _of_logs(source, given["clouds"], given["trajectory"], given["policy"])
+        runs = _of_logs(source, given.clouds, given.trajectory, given.policy)
     else:
-        runs = _of_cloud(source, given["policy"], given["history"], given["labels"], given["law"])
+        runs = _of_cloud(source, given.policy, given.history, given.labels, given.law)
     shown = (_of_stages(stages, watched) for watched in runs)
     if export:
         _export(export, list(shown)[-1])

@@ -4,18 +4,13 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from string import Formatter
-from typing import TYPE_CHECKING, Any
-
-import click
+from typing import Annotated, Any
 
 from halfseen.cli import options
 from halfseen.cli.messages import answer
 from halfseen.errors import ArgumentError
 from halfseen.progress import Progress
 from halfseen.text_table import aligned
-
-if TYPE_CHECKING:
-    from halfseen.workers import Workers
 
 Row = Mapping[str, Any]
 
@@ -51,17 +46,21 @@ STAGES = {
 }
 
 
-@click.command(epilog="Example: halfseen inspect logs --json")
-@click.argument("logs", type=options.PATH)
-@options.missing
-@options.flag("--json", "as_json", text="Print one JSON object for programs, with every row.")
+@options.command("halfseen inspect logs --json")
 @options.unused_seed
-def inspect(logs: Path, missing: dict[str, str] | None, as_json: bool) -> None:
+def inspect(
+    logs: Path, *, missing: options.Missing = None, as_json: Annotated[bool, {"flags": "--json"}] = False
+) -> None:
     """Say what LOGS holds: trajectories, endings and causes, stages, actions, and what their weights rest on.
 
     LOGS may be complete, still being recorded, or left by a recorder that crashed. What looks wrong comes first.
 
     The effective sample size is the number of equally weighted stages that are as precise as the weighted ones.
+
+    Parameters
+    ----------
+    as_json
+        Print one JSON object for programs, with every row.
     """
     with Progress(2, "start") as bar:
         from halfseen.logs import read_logs
@@ -141,42 +140,23 @@ USUAL: dict[str, Any] = {"propensity": "logged", "replicates": 100}
 """Default values of options."""
 
 
-@click.command(epilog="Example: halfseen report logs policy --out report.html --seed 1")
-@click.argument("logs", type=options.PATH)
-@click.argument("policy", type=options.PATH, required=False)
-@options.path("--out", default=Path("report.html"), text="File of the page.")
-@options.against
-@options.policys_censoring
-@options.propensity
-@options.policys_truncation
-@options.whole(
-    "--replicates",
-    least=2,
-    most=options.MOST_REPLICATES,
-    default=100,
-    text="Bootstrap replicates for the bands around Q.",
-)
-@click.option("--unit", help="Unit of rewards, such as parts; by default that of the logs.")
-@options.missing
-@options.workers
-@options.seed("page")
-@options.overwrite("a page that is")
-@options.flag("--json", "as_json", text="Print the numbers behind the page as one JSON object.")
+@options.command("halfseen report logs policy --out report.html --seed 1")
 def report(
     logs: Path,
-    policy: Path | None,
-    out: Path,
-    against: tuple[str, ...],
-    censoring: str | None,
-    propensity: str,
-    truncate_at: float | None,
-    replicates: int,
-    unit: str | None,
-    missing: dict[str, str] | None,
-    workers: "Workers",
-    seed: int,
-    overwrite: bool,
-    as_json: bool,
+    policy: Path | None = None,
+    *,
+    out: Path = Path("report.html"),
+    against: options.Against = (),
+    censoring: options.PolicysCensoring = None,
+    propensity: options.Propensity = "logged",
+    truncate_at: options.PolicysTruncation = None,
+    replicates: Annotated[int, options.whole(2, options.MOST_REPLICATES)] = 100,
+    unit: str | None = None,
+    missing: options.Missing = None,
+    workers: options.WorkersOption,
+    seed: options.Seed = 0,
+    overwrite: bool = False,
+    as_json: Annotated[bool, {"flags": "--json"}] = False,
 ) -> None:
     """Write one page about the folder LOGS and, if one is given, the policy in the folder POLICY.
 
@@ -185,6 +165,21 @@ def report(
     hold, trajectory by trajectory, what cut them and what looks wrong; what the weights rest on; what was learned and
     what it would do differently; and what these logs cannot show. Without POLICY it is about the logs alone. The page
     is one file that can be mailed or printed.
+
+    Parameters
+    ----------
+    out
+        File of the page.
+    replicates
+        Bootstrap replicates for the bands around Q.
+    unit
+        Unit of rewards, such as parts; by default that of the logs.
+    seed
+        Same seed, same page.
+    overwrite
+        Replace a page that is already there.
+    as_json
+        Print the numbers behind the page as one JSON object.
     """
     from halfseen.installation import extra
 

@@ -4,8 +4,9 @@ import shlex
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
+from halfseen.cli.options import word
 from halfseen.errors import ArgumentError, LogError
 from halfseen.progress import Progress
 
@@ -26,20 +27,48 @@ OPTIONS_OF = {
 
 
 class Reading(NamedTuple):
-    """Options that some kinds of sources take."""
+    """Options that some kinds of sources take.
 
-    mapping: Path | None
-    clouds: Path | None
-    see: bool
-    stages: str | None
-    trajectories: str | None
-    objects: str | None
-    action: str | None
-    reward: str | None
-    done: str | None
-    clock: str | None
-    step_s: float | None
-    truncated: str | None
+    Parameters
+    ----------
+    mapping
+        What holds what (TOML): for a bag, topics; for a table, columns; for sql, SELECTs.
+    clouds
+        For a bag: folder to write each stage's cloud to, as .pcd.
+    see
+        For a bag: take as objects of each stage what its cloud shows.
+    stages
+        For sql: the stages, with the columns of a log.
+    trajectories
+        For sql: the trajectories.
+    objects
+        For sql: the objects, if there are any.
+    action
+        For datasets of steps: the column that holds the action.
+    reward
+        For datasets of steps: the column that holds the reward.
+    done
+        For datasets of steps: the column that is true where an episode terminated.
+    clock
+        For datasets of steps: the column (Minari: the info) that holds the time [s].
+    step_s
+        For datasets of steps: how long a step lasts [s].
+    truncated
+        For datasets of steps: how an episode ended that did not terminate; by default cut.
+    """
+
+    mapping: Path | None = None
+    clouds: Path | None = None
+    see: bool = False
+    stages: Annotated[str | None, {"metavar": "SELECT"}] = None
+    trajectories: Annotated[str | None, {"metavar": "SELECT"}] = None
+    objects: Annotated[str | None, {"metavar": "SELECT"}] = None
+    action: Annotated[str | None, {"metavar": "NAME"}] = None
+    reward: Annotated[str | None, {"metavar": "NAME"}] = None
+    done: Annotated[str | None, {"metavar": "NAME"}] = None
+    clock: Annotated[str | None, {"metavar": "NAME"}] = None
+    step_s: float | None = None
+    truncated: Annotated[str | None, word("cut", "finished")] = None
 
 
 def kind_of(source: str, is_mapped: bool = False) -> str:
