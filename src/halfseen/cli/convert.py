@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import click
 
 from halfseen.cli import options
-from halfseen.cli.inputs import give_mapping
+from halfseen.cli.inputs import check_kind, give_mapping
 from halfseen.cli.messages import answer, tell_warning
-from halfseen.cli.sources import MINARI, SQL, Reading, check_options, kind_of, read, tables_of_events
+from halfseen.cli.sources import KINDS_OF, MINARI, SQL, Reading, kind_of, read, tables_of_events
 from halfseen.errors import ArgumentError, noted
 from halfseen.progress import Progress
 from halfseen.writing import placed, refuse_taken
@@ -73,12 +73,12 @@ def convert(
                 f"--mapping is for one SOURCE, and {len(sources)} are given; put tables with the same columns, or "
                 "bags, into one folder, and give that"
             )
-        check_options("parquet", reading)
+        check_kind(reading, KINDS_OF, "parquet", "this is parquet")
         _compact(sources, target, is_check, as_json)
         return
     source = next(iter(sources))
     kind, clouds = kind_of(source, reading.mapping is not None), reading.clouds
-    check_options(kind, reading)
+    check_kind(reading, KINDS_OF, kind, f"this is {kind}")
     place = Path(target.removeprefix(CSV))
     if not target.startswith(MINARI):
         refuse_taken(place, False, None, "logs")

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from halfseen.cli import options
-from halfseen.cli.inputs import law_of, read_robots, scenes_of
+from halfseen.cli.inputs import law_of, looks_at, read_robots
 from halfseen.cli.messages import answer
 from halfseen.cli.options import ASSUMED
 from halfseen.errors import ArgumentError, PolicyError, noted
@@ -88,10 +88,9 @@ def evaluate(
         raise ArgumentError("give either --logs with a folder of logs, or --world to play in the simulated world")
     if clouds and not in_world:
         raise ArgumentError(f"{clouds[0]}: clouds are tables to play with --world, but --logs is given; leave one out")
-    if law is not None and not in_world:
-        raise ArgumentError(f"--law is {law}, which is for --world, but --logs is given; leave --law out")
-    if team is not None and not in_world:
-        raise ArgumentError(f"--team is {team}, which is for --world, but --logs is given; leave --team out")
+    for name, given in {"--law": law, "--team": team}.items():
+        if given is not None and not in_world:
+            raise ArgumentError(f"{name} is {given}, which is for --world, but --logs is given; leave {name} out")
     if against and in_world:
         raise ArgumentError("--against is for --logs, and --world always compares with the heuristics; leave one out")
     stored = read_policy(policy)
@@ -173,7 +172,7 @@ def _by_world(
     num_robots = 1 if team is None else len(team.robots)
     with Progress(episodes * (1 + len(HEURISTICS)), "play", "episodes") as bar:
         law, config = law_of(name), WorldConfig(horizon=stored.horizon // num_robots)
-        scenes = scenes_of(clouds, law)
+        scenes = [look(law) for look in looks_at(clouds)]
         config = config if law is None else law.config(config)
         how: Any = {"episodes": episodes, "seed": seed, "level": level, "on_progress": bar.update}
         believed = config if team is None else team.config(config)

@@ -271,12 +271,11 @@ def _targets(cuts: Cuts) -> "Targets | str":
     """Targets that account for cuts; auto without options."""
     from halfseen.learning.targets import named_targets
 
-    usual: Any = {"by": "trajectory", "covariates": None, "truncate_at": None, "is_doubly_robust": False}
-    given: Any = {"by": cuts.censoring_by, "covariates": cuts.censoring_covariates, "truncate_at": cuts.truncate_at}
-    given["is_doubly_robust"], model = cuts.augmented, cuts.censoring or "auto"
-    if model != "auto":
-        return named_targets(model, **given)
-    return "auto" if given == usual else named_targets(**given)  # options of weights select weighting
+    if cuts == Cuts():
+        return "auto"
+    models = [] if cuts.censoring == "auto" else [cuts.censoring]  # options of weights select weighting
+    how: Any = {"by": cuts.censoring_by, "covariates": cuts.censoring_covariates, "truncate_at": cuts.truncate_at}
+    return named_targets(*models, **how, is_doubly_robust=cuts.augmented)
 
 
 def _lines(report: Mapping[str, Any], judged: "HeldOutVerdict | None") -> list[str]:

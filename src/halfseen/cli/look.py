@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import click
 
 from halfseen.cli import options
-from halfseen.cli.inputs import law_of, perceived, refuse_output
+from halfseen.cli.inputs import check_kind, law_of, perceived, refuse_output
 from halfseen.cli.messages import say, tell_error
 from halfseen.cli.options import SHIPPED
 from halfseen.errors import ArgumentError, CloudError, PolicyError
@@ -191,7 +191,7 @@ def _facts(view: "View", found: "FirstLook") -> dict[str, Any]:
 
 
 FORMS = (".html", ".gif")
-OF_KINDS = {
+KINDS_OF = {
     "policy": ("cloud", "logs"),
     "history": ("cloud",),
     "labels": ("cloud",),
@@ -268,12 +268,7 @@ def watch(
     if not source.exists():
         raise ArgumentError(f"{source}: no such file or folder; give a cloud, a recording or a folder of logs")
     kind = "recording" if (source / MARKER).is_file() else "logs" if source.is_dir() else "cloud"
-    for name, kinds in OF_KINDS.items():
-        if getattr(given, name) is not None and kind not in kinds:
-            raise ArgumentError(
-                f"--{name} is for a source of kind {' or '.join(kinds)}; {source} is of kind {kind}: leave it out"
-            )
-
+    check_kind(given, KINDS_OF, kind, f"{source} is of kind {kind}")
     if kind == "recording":
         runs = iter([read_recording(source)])
     elif kind == "logs":

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import click
 
 from halfseen.cli import options
-from halfseen.cli.inputs import law_folder, law_of, num_scenes, read_robots, scenes_of
+from halfseen.cli.inputs import law_folder, law_of, looks_at, read_robots
 from halfseen.cli.messages import answer, say, tally
 from halfseen.cli.options import SHIPPED
 from halfseen.errors import ArgumentError
@@ -68,14 +68,16 @@ def simulate(
     """
     if out.exists() and not overwrite:
         raise ArgumentError(f"{out}: it already exists; choose another folder, or pass --overwrite to replace it")
-    num_clouds = num_scenes(clouds)
-    with Progress(_START + num_clouds * (1 + _TABLE), "start") as bar:
+    looks, scenes = looks_at(clouds), []
+    with Progress(_START + len(looks) * (1 + _TABLE), "start") as bar:
         from halfseen.world import TableWorld, WorldConfig
 
         robots = read_robots(team)
         known, config = law_of(law), WorldConfig(horizon=horizon)
         bar.begin("look", _START)
-        scenes = scenes_of(clouds, known, on_each=bar.update)
+        for look in looks:
+            scenes.append(look(known))
+            bar.update()
         bar.begin("simulate", 0)
         config = config if known is None else known.config(config)
         world = TableWorld.of(robots, config)

@@ -16,14 +16,15 @@ if TYPE_CHECKING:
     from halfseen.logs import Logs
 
 MINARI, SQL = "minari:", "sql:"
-OPTIONS_OF = {
-    ("mapping",): ("bag", "sql", "events"),
-    ("clouds", "see"): ("bag",),
-    ("stages", "trajectories", "objects"): ("sql",),
-    ("action", "reward", "done"): ("lerobot", "steps", "hdf5"),
-    ("clock", "step_s", "truncated"): ("minari", "lerobot", "steps", "hdf5"),
+STEPS = ("lerobot", "steps", "hdf5")
+KINDS_OF = {
+    "mapping": ("bag", "sql", "events"),
+    **dict.fromkeys(("clouds", "see"), ("bag",)),
+    **dict.fromkeys(("stages", "trajectories", "objects"), ("sql",)),
+    **dict.fromkeys(("action", "reward", "done"), STEPS),
+    **dict.fromkeys(("clock", "step_s", "truncated"), ("minari", *STEPS)),
 }
-"""Kinds of sources that take each group of options."""
+"""Kinds of sources that take each option."""
 
 
 class Reading(NamedTuple):
@@ -154,24 +155,6 @@ def _is_bag(path: Path) -> bool:
     if path.is_dir():
         return (path / "metadata.yaml").exists() or any(file.suffix == ".db3" for file in path.iterdir())
     return path.suffix in (".mcap", ".db3", ".bag")
-
-
-def check_options(kind: str, reading: Reading) -> None:
-    """Refuse options that a source of this kind does not take.
-
-    Raises
-    ------
-    ArgumentError
-        Such an option is given.
-    """
-    for names, owners in OPTIONS_OF.items():
-        for name in names:
-            given = getattr(reading, name)
-            if given is not None and given is not False and kind not in owners:
-                kinds = " or ".join(filter(None, [", ".join(owners[:-1]), owners[-1]]))
-                raise ArgumentError(
-                    f"--{name.replace('_', '-')} is for a source of kind {kinds}; this is {kind}: leave it out"
-                )
 
 
 def read(kind: str, source: str, how: Reading, missing: str | None = None) -> "Logs":
