@@ -116,11 +116,7 @@ def q_curves(
     policy = stored.policy
     if not isinstance(policy, DiscretePolicy):
         return [], None
-    frame: Any = logs.stages
-    states = {
-        stage: frame[frame["stage"] == stage] for stage in range(1, min(MOST_STAGES, logs.horizon, policy.horizon) + 1)
-    }
-    states = {stage: rows for stage, rows in states.items() if len(rows) >= FEWEST_STATES}
+    states = _first_states(policy, logs)
     numeric = [name for name in policy.covariates if name not in policy.categories]
     names = [name for name in numeric if all(np.ptp(_ends(rows[name])) > 0 for rows in states.values())]
     if not states or not names:
@@ -128,6 +124,14 @@ def q_curves(
     replicates = _replicates(stored, logs, num_replicates, seed, workers) if is_own_log else None
     band: Band | None = "bootstrap" if replicates is not None else "regression" if stored.q_error else None
     return [_curve(stored, replicates, rows, stage, name) for stage, rows in states.items() for name in names], band
+
+
+def _first_states(policy: DiscretePolicy, logs: Logs) -> dict[int, Any]:
+    """States of each of the first stages that has enough of them."""
+    frame: Any = logs.stages
+    stages = range(1, min(MOST_STAGES, logs.horizon, policy.horizon) + 1)
+    states = {stage: frame[frame["stage"] == stage] for stage in stages}
+    return {stage: rows for stage, rows in states.items() if len(rows) >= FEWEST_STATES}
 
 
 def telling(curves: list[QCurve]) -> list[str]:
@@ -237,15 +241,13 @@ def policy_maps(policy: DiscretePolicy, logs: Logs, telling: list[str]) -> list[
     telling
         Numeric covariates, the most influential first.
     """
-    stages = range(1, min(MOST_STAGES, logs.horizon, policy.horizon) + 1)
-    frame: Any = logs.stages
-    maps = [_map_of(policy, frame[frame["stage"] == stage], stage, telling) for stage in stages]
+    maps = [_map_of(policy, states, stage, telling) for stage, states in _first_states(policy, logs).items()]
     return [one for one in maps if one is not None and one.is_supported.mean() >= LEAST_SUPPORTED]
 
 
 def _map_of(policy: DiscretePolicy, states: pd.DataFrame, stage: int, telling: list[str]) -> PolicyMap | None:
     names = tuple([name for name in telling if states[name].nunique() > 1][:2])
-    if len(states) < FEWEST_STATES or not names:
+    if not names:
         return None
     values = states[list(names)].to_numpy(dtype=np.float64)
     low, high = np.quantile(values, SHOWN, axis=0)
