@@ -19,8 +19,7 @@ from halfseen.learning.targets import CENSORING_CHOICES
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.policies.decision import reach
-from halfseen.policies.folder import StoredPolicy, q_space_of_record
-from halfseen.policies.folder.specification import reg_of_record, targets_of_record
+from halfseen.policies.folder import StoredPolicy, q_space_of_record, reg_of_record, targets_of_record
 from halfseen.policies.shares import action_shares, horizon_of
 from halfseen.shapes import Bool, Float, Int
 from halfseen.workers import ALONE, Workers
@@ -318,13 +317,9 @@ def table_map(policy: Any, task: Task, logs: Logs) -> TableMap | None:
     def counted(rows: Any) -> Int[np.ndarray, "H C"]:
         return np.histogram2d(rows["hidden"], rows["chance"], bins=edges)[0].astype(np.int64)
 
-    count, verbs = counted(objects), {verb: objects[objects["verb"] == verb] for verb in TARGETED}
+    count, taken = counted(objects), {verb.name: counted(objects[objects["verb"] == verb]) for verb in TARGETED}
     is_known = count >= FEWEST_OBJECTS
-    share = {
-        verb.name: np.where(is_known, counted(rows) / np.maximum(count, 1), np.nan)
-        for verb, rows in verbs.items()
-        if len(rows)
-    }
+    share = {name: np.where(is_known, num / np.maximum(count, 1), np.nan) for name, num in taken.items() if num.any()}
     return TableMap(chance, hidden, count, share) if is_known.any() and share else None
 
 
