@@ -1,6 +1,5 @@
 """``halfseen act`` and ``halfseen export``: a decision, its reason, and the policy as ONNX."""
 
-import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -33,7 +32,7 @@ def run(*words):
 
 
 def report_of(*words):
-    return json.loads(run(*words, "--json"))
+    return shell.report("act", *words)
 
 
 @pytest.fixture

@@ -64,14 +64,14 @@ def test_each_baseline_has_a_line_and_an_entry(folders):
     assert [line.split()[-1] for line in lines[8:]] == ["better"] * 4
     assert lines[11].endswith("not better")
     assert lines[0].startswith("Not better: it earns as much a trajectory as the policy policy")
-    report = json.loads(told(folders / "policy", "--logs", folders / "aside", *options, "--json").output)
+    report = shell.report("evaluate", folders / "policy", "--logs", folders / "aside", *options)
     assert [each["baseline"] for each in report["comparisons"]] == names
     assert report["comparisons"][3]["difference"]["value"] == 0.0
     assert {"value", "difference", "p", "adjusted_p", "verdict", "reason"} < set(report["comparisons"][0])
 
 
 def test_json_carries_what_the_library_says(folders):
-    report = json.loads(told(folders / "policy", "--logs", folders / "aside", "--json", "--seed", 3).output)
+    report = shell.report("evaluate", folders / "policy", "--logs", folders / "aside", "--seed", 3)
     stored, logs = read_policy(folders / "policy"), read_logs(folders / "aside")
     spec = specification_of(stored, logs)
     answer = evaluated(stored.policy, logs, censoring=spec.censoring, q=spec.q, random_state=3)

@@ -98,11 +98,11 @@ def test_after_mending_it_watches_anew(folders, tmp_path):
 
 
 def test_json_has_all_of_it(folders):
-    report = json.loads(told(folders / "policy", "--logs", folders / "moved", "--json").output)
+    report = shell.report("monitor", folders / "policy", "--logs", folders / "moved")
     assert report["is_alarm"]
     assert report["findings"][0]["name"] == "x in stage 1"
     assert report["findings"][0]["p_value"] < 1e-3
-    assert json.loads(told(folders / "policy", "--logs", folders / "next", "--json").output)["findings"] == []
+    assert shell.report("monitor", folders / "policy", "--logs", folders / "next")["findings"] == []
 
 
 def test_the_page_tells_the_same_and_is_replaced_only_if_asked(folders, tmp_path):
@@ -160,12 +160,9 @@ def cell(num, seed, gain, first=1):
     rng = np.random.default_rng(seed)
     x, is_a, took = rng.random(num), rng.random(num) < 0.5, rng.uniform(1.0, 3.0, num)
     is_cut = rng.random(num) < 0.2
-    names = np.arange(first, first + num)
-    stages = {"trajectory": names, "stage": 1, "action": np.where(is_a, "A", "B"), "x": x}
     reward = np.where(is_a, x + gain, 0.0) + 0.3 * rng.normal(size=num)
-    stages |= {"elapsed_s": np.where(is_cut, np.nan, took), "reward": np.where(is_cut, np.nan, reward)}
-    ends = {"trajectory": names, "end_s": took, "ending": np.where(is_cut, "cut", "finished")}
-    return Logs(pd.DataFrame(stages), pd.DataFrame(ends))
+    done = {"elapsed_s": np.where(is_cut, np.nan, took), "action": np.where(is_a, "A", "B"), "reward": reward}
+    return log_of({"end_s": took}, trajectory=np.arange(first, first + num), x=x, **done)
 
 
 @pytest.fixture(scope="module")
@@ -196,7 +193,7 @@ def test_a_change_is_told_with_the_command_that_takes_only_what_still_holds(fold
 
 
 def test_all_is_used_until_one_says_so_and_the_doubt_is_kept(folder, tmp_path):
-    report = json.loads(shell.run("learn", folder / "both", "--out", tmp_path / "policy", *LEARN, "--json").output)
+    report = shell.report("learn", folder / "both", "--out", tmp_path / "policy", *LEARN)
     log = report["log"]
     assert log["num_trajectories"] == 250
     assert [(each["num_trajectories"], each["first"], each["last"]) for each in log["sources"]] == [
@@ -235,7 +232,7 @@ def test_act_says_which_logs_it_was_learned_from(folder, tmp_path):
     (tmp_path / "now.json").write_text('{"x": 0.5}')
     told = shell.run("act", folder / "policy", tmp_path / "now.json").output
     assert told.splitlines()[-1] == "learned from 150 trajectories of old (1 to 150)"
-    assert json.loads(shell.run("act", folder / "policy", tmp_path / "now.json", "--json").output)["learned_from"] == [
+    assert shell.report("act", folder / "policy", tmp_path / "now.json")["learned_from"] == [
         {"name": "old", "num_trajectories": 150, "first": 1, "last": 150}
     ]
 
