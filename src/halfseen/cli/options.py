@@ -55,7 +55,7 @@ def command(example: str) -> Callable[[Command], click.Command]:
 
 def _described(documented: Any) -> tuple[str, dict[str, str]]:
     """What a docstring says of the whole, and of each parameter."""
-    about, _, listed = cleandoc(documented.__doc__).partition("\n\nParameters\n----------\n")
+    about, _, listed = cleandoc(documented.__doc__ or "").partition("\n\nParameters\n----------\n")
     _, *parts = re.split(r"^(\w+)\n", listed, flags=re.MULTILINE)
     return about, {name: " ".join(text.split()) for name, text in zip(parts[::2], parts[1::2], strict=True)}
 

@@ -181,9 +181,9 @@ class StageView:
     eye_m: Vector
     objects: tuple[Shown, ...]
     hides: Hides
-    options: tuple[Option, ...]
-    action: str
-    reason: str
+    options: tuple[Option, ...] = ()
+    action: str = ""
+    reason: str = ""
     notes: tuple[str, ...] = ()
     events: tuple[str, ...] = ()
     poses: Poses = field(default_factory=lambda: np.zeros((0, 0, 7)))

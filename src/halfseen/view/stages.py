@@ -188,22 +188,19 @@ def _seen_stage(
     ]
     num, eye_m = len(known), eye_over_table(view, cloud)
     cut = f", {view.num_cut} more cut by the border of the image" if view.num_cut else ""
-    stage = StageView(
+    decided: dict[str, Any] = {}
+    if decision is not None:
+        decided = {"options": options_of(decision), "action": str(decision.action), "reason": decision.reason}
+        decided["notes"] = tuple(decision.warnings)
+    return StageView(
         title,
         *coloured_points(cloud, np.linalg.inv(view.cloud_from_table)),
         eye_m,
         shown_objects(known, eye_m, np.eye(4)),
         view.hides,
-        options=(),
-        action="",
-        reason="",
         events=(f"seen: {num} object{'' if num == 1 else 's'}{cut}", *events),
+        **decided,
     )
-    if decision is None:
-        return stage
-    options = options_of(decision)
-    doubts = tuple(decision.warnings)
-    return replace(stage, options=options, action=str(decision.action), reason=decision.reason, notes=doubts)
 
 
 def options_of(decision: Decision) -> tuple[Option, ...]:
