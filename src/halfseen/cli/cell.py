@@ -82,7 +82,7 @@ def calibrate(
     attempts: Annotated[int, options.whole(50, options.MOST_EPISODES)] = 6000,
     visible_only: Annotated[int, options.whole(0, options.MOST_EPISODES)] = 0,
     given: Annotated[Path | None, {"flags": "--from"}] = None,
-    arm: options.Arm,
+    arm: options.ArmOption,
     workers: options.WorkersOption,
     seed: options.Seed = 0,
     as_json: options.AsJson = False,

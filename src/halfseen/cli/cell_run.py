@@ -40,7 +40,7 @@ def run(
     port: options.Port = 8080,
     record: Path | None = None,
     num_arms: options.NumArms = 1,
-    arm: options.Arm,
+    arm: options.ArmOption,
     workers: options.WorkersOption,
     seed: options.Seed = 0,
     as_json: options.AsJson = False,
@@ -191,7 +191,7 @@ def film(
     law: Annotated[str, options.law()] = options.SHIPPED,
     table: Annotated[int, options.whole(0, options.MOST_EPISODES)] = 0,
     num_arms: options.NumArms = 1,
-    arm: options.Arm,
+    arm: options.ArmOption,
     seed: options.Seed = 0,
     overwrite: bool = False,
 ) -> None:

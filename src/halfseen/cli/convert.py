@@ -32,7 +32,7 @@ def convert(
     target: Annotated[str | None, {"flags": "--out"}] = None,
     is_check: Annotated[bool, {"flags": "--check"}] = False,
     is_template: Annotated[bool, {"flags": "--mapping-template"}] = False,
-    reading: Annotated[Reading, options.Gathered(Reading)],
+    reading: Reading,
     as_json: options.AsJson = False,
 ) -> None:
     """Read the logs of SOURCE and write them to another form, all or nothing.

@@ -50,7 +50,7 @@ def evaluate(
     in_world: Annotated[bool, {"flags": "--world"}] = False,
     law: Annotated[str | None, options.law("With --world; by default assumed. ")] = None,
     team: Annotated[Path | None, options.team("With --world: ")] = None,
-    cuts: Annotated[Cuts, options.Gathered(Cuts)],
+    cuts: Cuts,
     propensity: options.Propensity = "logged",
     missing: options.Missing = None,
     trust: options.Trust,

@@ -36,7 +36,7 @@ KINDS: dict[Any, Settings] = {Path: {"type": PATH}, bool: {"is_flag": True}, flo
 
 
 class Gathered(NamedTuple):
-    """Several options as one parameter, which is made of their record."""
+    """Several options as one parameter, which is made of their record; a record itself needs none of this."""
 
     record: Any
     make: Callable[[Any], Any] = lambda record: record
@@ -66,8 +66,9 @@ def _declared(function: Command, parameters: Iterable[Parameter], texts: Mapping
         hint, settings = parameter.annotation, {}
         if get_origin(hint) is Annotated:
             hint, settings = get_args(hint)
-        if isinstance(settings, Gathered):
-            function = _gathered(function, parameter.name, settings)
+        several = Gathered(hint) if hasattr(hint, "_fields") else settings
+        if isinstance(several, Gathered):
+            function = _gathered(function, parameter.name, several)
         else:
             function = _param(parameter, hint, settings, texts)(function)
     return function
@@ -284,6 +285,5 @@ Missing = Annotated[dict[str, str] | None, {"metavar": "RULE", "callback": _rule
 PolicysCensoring = Annotated[str | None, word(*WEIGHTING, help="Censoring model; by default the policy's own.")]
 PolicysTruncation = Annotated[float | None, {"help": "Largest weight allowed; by default the policy's own."}]
 ByClock = Annotated[str | None, word("trajectory", "stage", "pooled")]
-Arm = Annotated[ArmOption, Gathered(ArmOption)]
 Trust = Annotated[tuple[str, ...], Gathered(_Trusted, _trusted)]
 WorkersOption = Annotated["Workers", Gathered(_WorkerOptions, _workers)]

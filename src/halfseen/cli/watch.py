@@ -68,7 +68,7 @@ class Given(NamedTuple):
 def watch(
     source: Path,
     *,
-    given: Annotated[Given, options.Gathered(Given)],
+    given: Given,
     stages: Annotated[tuple[int, int] | None, {"callback": _span, "metavar": "FIRST-LAST"}] = None,
     export: tuple[Path, ...] = (),
     overwrite: bool = False,
