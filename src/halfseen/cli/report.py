@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from string import Formatter
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 from halfseen.cli import options
 from halfseen.cli.messages import answer
@@ -136,8 +136,22 @@ class _Form(Formatter):
 
 WORK = {"start": 10, "evaluate": 25, "look at the policy": 1, "learn again": 18, "look at the log": 1, "draw": 8}
 """Relative time of each step, roughly."""
-USUAL: dict[str, Any] = {"propensity": "logged", "replicates": 100}
-"""Default values of options."""
+
+
+class Asked(NamedTuple):
+    """Options about a policy.
+
+    Parameters
+    ----------
+    replicates
+        Bootstrap replicates for the bands around Q.
+    """
+
+    against: options.Against = ()
+    censoring: options.PolicysCensoring = None
+    propensity: options.Propensity = "logged"
+    truncate_at: options.PolicysTruncation = None
+    replicates: Annotated[int, options.whole(2, options.MOST_REPLICATES)] = 100
 
 
 @options.command("halfseen report logs policy --out report.html --seed 1")
@@ -146,11 +160,7 @@ def report(
     policy: Path | None = None,
     *,
     out: Path = Path("report.html"),
-    against: options.Against = (),
-    censoring: options.PolicysCensoring = None,
-    propensity: options.Propensity = "logged",
-    truncate_at: options.PolicysTruncation = None,
-    replicates: Annotated[int, options.whole(2, options.MOST_REPLICATES)] = 100,
+    asked: Asked,
     unit: str | None = None,
     missing: options.Missing = None,
     workers: options.WorkersOption,
@@ -170,8 +180,6 @@ def report(
     ----------
     out
         File of the page.
-    replicates
-        Bootstrap replicates for the bands around Q.
     unit
         Unit of rewards, such as parts; by default that of the logs.
     seed
@@ -193,38 +201,26 @@ def report(
         from halfseen.view.words import answer_of
 
         check_page_target(out, overwrite)
-        chosen: dict[str, Any] = {"censoring": censoring, "propensity": propensity, "truncate_at": truncate_at}
-        asked = {"against": against, **chosen, "replicates": replicates}
-        _refuse_without_policy(policy, asked)
-        command = _command(
-            logs, policy, {"against": against, "unit": unit, "missing": _written(missing), **asked, "seed": seed}
-        )
+        given = {name: value for name, value in asked._asdict().items() if value != getattr(Asked(), name)}
+        if given and policy is None:
+            option = f"--{next(iter(given)).replace('_', '-')}"
+            there = f"{option} applies to a policy, but none is given"
+            raise ArgumentError(f"{there}; add POLICY after LOGS, or leave it out")
+        known = {"against": (), "unit": unit, "missing": _written(missing), **given, "seed": seed}
+        command = _command(logs, policy, known)
         stored = None if policy is None else read_policy(policy)
         log = read_logs(logs, missing=missing if stored is None else stored.missing(missing))
         log = log if unit is None else log.in_unit(unit)
-        how: dict[str, Any] = {"num_replicates": replicates, "workers": workers, **chosen}
+        how = asked._asdict() | {"against": list(asked.against) or None, "workers": workers}
 
         def begin(step: str) -> None:
             bar.begin(step, WORK[bar.what])
 
-        findings = find(stored, log, seed=seed, against=list(against) or None, on_progress=begin, **how)
+        findings = find(stored, log, seed=seed, num_replicates=how.pop("replicates"), on_progress=begin, **how)
         begin("draw")
         write_page(page_of(findings, command), out, overwrite=overwrite)
     folders = {"page": str(out), "logs": str(logs)} | ({} if policy is None else {"policy_folder": str(policy)})
     answer(folders | findings.as_dict(), [answer_of(findings), f"The page: {out}"], as_json)
-
-
-def _refuse_without_policy(policy: Path | None, chosen: Mapping[str, Any]) -> None:
-    """Refuse options about a policy if there is none."""
-    given = next(iter(_given(chosen)), None)
-    if policy is None and given is not None:
-        option = f"--{given.replace('_', '-')}"
-        raise ArgumentError(f"{option} applies to a policy, but none is given; add POLICY after LOGS, or leave it out")
-
-
-def _given(chosen: Mapping[str, Any]) -> dict[str, Any]:
-    """Options that differ from their defaults."""
-    return {name: value for name, value in chosen.items() if value not in (None, ()) and USUAL.get(name) != value}
 
 
 def _written(missing: Mapping[str, str] | None) -> str | None:
@@ -235,7 +231,8 @@ def _written(missing: Mapping[str, str] | None) -> str | None:
 def _command(logs: Path, policy: Path | None, chosen: Mapping[str, Any]) -> str:
     """Command that creates the page again, without its output option."""
     parts = ["halfseen", "report", str(logs), *([] if policy is None else [str(policy)])]
-    for name, value in _given(chosen).items():
-        for one in value if isinstance(value, tuple) else (value,):
+    for name, value in chosen.items():
+        values = value if isinstance(value, tuple) else (value,)
+        for one in (each for each in values if each is not None):
             parts += [f"--{name.replace('_', '-')}", f"{one:g}" if isinstance(one, float) else str(one)]
     return shlex.join(parts)
