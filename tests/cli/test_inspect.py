@@ -14,8 +14,7 @@ import shell
 
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder
-from halfseen.policies.folder import write_policy
-from small_logs import log_of
+from small_logs import kept, log_of
 from small_report import ACTIONS, COVARIATES, hostile_log
 
 
@@ -132,8 +131,7 @@ def judged(tmp_path_factory):
     judged = tmp_path_factory.mktemp("report-verb")
     logs = hostile_log(num_trajectories=24)
     logs.write(judged / "logs")
-    learner = CensoredQLearner.of_paper(2, ACTIONS, COVARIATES, reg=0.1).fit(logs)
-    write_policy(learner, logs, judged / "policy")
+    kept(CensoredQLearner.of_paper(2, ACTIONS, COVARIATES, reg=0.1), logs, judged / "policy")
     return judged
 
 

@@ -13,10 +13,10 @@ from chromium import PAGES, faults_of, in_browser
 from halfseen.cli import act as module
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder, Logs, read_logs
-from halfseen.policies.folder import read_policy, write_policy
+from halfseen.policies.folder import read_policy
 from holes import holed
 from refusals import refused
-from small_logs import log_of
+from small_logs import kept, log_of
 
 told = partial(shell.run, "monitor")
 
@@ -37,9 +37,8 @@ def folders(tmp_path_factory):
     folder = tmp_path_factory.mktemp("monitor")
     for name, seed, moved in (("learned", 0, 0.0), ("next", 1, 0.0), ("moved", 1, 0.7)):
         clinic(seed, moved=moved).write(folder / name)
-    logs = read_logs(folder / "learned")
-    learner = CensoredQLearner.of_paper(1, {1: ["A", "B"]}, ["x", "y"], reg=1e-3).fit(logs)
-    write_policy(learner, logs, folder / "policy")
+    learner = CensoredQLearner.of_paper(1, {1: ["A", "B"]}, ["x", "y"], reg=1e-3)
+    kept(learner, read_logs(folder / "learned"), folder / "policy")
     return folder
 
 
@@ -54,8 +53,7 @@ def test_no_alarm_is_told_with_what_is_not_watched_and_status_0(folders):
 def test_what_is_missing_is_filled_in_as_where_the_policy_was_learned(tmp_path):
     rule = {"x": "median+flag"}
     logs = holed(clinic(0), columns=("x",), missing=rule)
-    learner = CensoredQLearner.of_paper(1, {1: ["A", "B"]}, ["x", "y", "x_missing"], reg=1e-3).fit(logs)
-    write_policy(learner, logs, tmp_path / "policy")
+    kept(CensoredQLearner.of_paper(1, {1: ["A", "B"]}, ["x", "y", "x_missing"], reg=1e-3), logs, tmp_path / "policy")
     holed(clinic(1), seed=1, columns=("x",)).write(tmp_path / "next")
     assert told(tmp_path / "policy", "--logs", tmp_path / "next").output.startswith("No alarm: in 300 trajectories")
     holed(clinic(1), share=0.6, columns=("x",)).write(tmp_path / "lost")

@@ -18,7 +18,6 @@ from halfseen.evaluation.evaluation import PerHour, Rate
 from halfseen.evaluation.specification import task_of
 from halfseen.figures import MOST_MARKERS, inline_svg
 from halfseen.learning import CensoredQLearner
-from halfseen.policies.folder import read_policy, write_policy
 from halfseen.policies.named_decider import NamedObservation
 from halfseen.policies.observations import decider_of
 from halfseen.view import findings as found_in
@@ -29,7 +28,7 @@ from halfseen.view.log_findings import follow_up
 from halfseen.view.page import MARK, page_of, write_page
 from halfseen.view.policy_findings import choices, q_curves
 from halfseen.view.words import answer, answer_of, standing, why_no_hours
-from small_logs import log_of, table_log
+from small_logs import kept, log_of, table_log
 from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, hostile_log
 
 EMPTY = {"meta", "br"}
@@ -140,12 +139,6 @@ SECTIONS = ("value", "log", "weights", "policy", "unknown", "again")
 @pytest.fixture(scope="module")
 def logs():
     return hostile_log()
-
-
-def kept(learner, logs, folder):
-    """A policy that was learned from logs, written and read."""
-    write_policy(learner.fit(logs), logs, folder)
-    return read_policy(folder)
 
 
 @pytest.fixture(scope="module")
