@@ -20,7 +20,6 @@ from halfseen.figures import MOST_MARKERS, inline_svg
 from halfseen.learning import CensoredQLearner
 from halfseen.policies.named_decider import NamedObservation
 from halfseen.policies.observations import decider_of
-from halfseen.view import findings as found_in
 from halfseen.view import page as page_module
 from halfseen.view.findings import find
 from halfseen.view.log_figures import draw_follow_up
@@ -29,7 +28,7 @@ from halfseen.view.page import MARK, page_of, write_page
 from halfseen.view.policy_findings import choices, q_curves
 from halfseen.view.words import answer, answer_of, standing, why_no_hours
 from small_logs import kept, log_of, table_log
-from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, hostile_log
+from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, found, hostile_log
 
 EMPTY = {"meta", "br"}
 UNIT = "<i>net</i> picks"
@@ -145,13 +144,6 @@ def logs():
 def stored(logs, tmp_path_factory):
     learner = CensoredQLearner.of_paper(2, ACTIONS, COVARIATES, reg=0.1, random_state=3)
     return kept(learner, logs, tmp_path_factory.mktemp("report") / "policy")
-
-
-def found(stored, logs, num_replicates=2, seed=0):
-    """Findings about a policy, with a value that was made up."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(found_in, "evaluate", lambda *_, **__: evaluation())
-        return find(stored, logs, num_replicates=num_replicates, seed=seed)
 
 
 @pytest.fixture(scope="module")
