@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from halfseen.cli import options
 from halfseen.cli.inputs import perceived, refuse_output
@@ -28,7 +28,7 @@ ENDINGS = (".pcd", ".ply", ".npz")  # of cloud files in a folder
 def look(
     clouds: tuple[Path, ...],
     *,
-    is_json: Annotated[bool, {"flags": "--json"}] = False,
+    is_json: options.Json = False,
     picture: Path | None = None,
     overwrite: bool = False,
     labels: options.Labels = None,

@@ -261,7 +261,9 @@ unused_seed = click.option(
     "--seed", type=int, expose_value=False, help="Accepted by every command; nothing here is random."
 )
 Seed = Annotated[int, whole(0, MOST_SEED)]
+Json = Annotated[bool, {"flags": "--json"}]
 AsJson = Annotated[bool, {"flags": "--json", "help": "Print one JSON object for programs."}]
+Law = Annotated[str, law()]
 LABELS = (
     "Labels of what looks dirty, instead of those from the cloud's colour: .csv with columns object, label (dirty, "
     "clean, unknown) and, optionally, share_in_view; or the same as .json."

@@ -48,9 +48,7 @@ STAGES = {
 
 @options.command("halfseen inspect logs --json")
 @options.unused_seed
-def inspect(
-    logs: Path, *, missing: options.Missing = None, as_json: Annotated[bool, {"flags": "--json"}] = False
-) -> None:
+def inspect(logs: Path, *, missing: options.Missing = None, as_json: options.Json = False) -> None:
     """Say what LOGS holds: trajectories, endings and causes, stages, actions, and what their weights rest on.
 
     LOGS may be complete, still being recorded, or left by a recorder that crashed. What looks wrong comes first.
@@ -166,7 +164,7 @@ def report(
     workers: options.WorkersOption,
     seed: options.Seed = 0,
     overwrite: bool = False,
-    as_json: Annotated[bool, {"flags": "--json"}] = False,
+    as_json: options.Json = False,
 ) -> None:
     """Write one page about the folder LOGS and, if one is given, the policy in the folder POLICY.
 

@@ -30,7 +30,7 @@ def simulate(
     cut_kind: Annotated[str, options.word("independent", "occlusion", "attempt")] = "independent",
     horizon: Annotated[int, options.whole(1, options.MOST_STAGES)] = 10,
     team: Annotated[Path | None, options.team()] = None,
-    law: Annotated[str, options.law()] = options.ASSUMED,
+    law: options.Law = options.ASSUMED,
     seed: options.Seed = 0,
     as_json: options.AsJson = False,
     overwrite: bool = False,
@@ -114,11 +114,11 @@ def study(
     repetitions: Annotated[int | None, {"type": click.IntRange(max=options.MOST_EPISODES)}] = None,
     only: Annotated[tuple[str, ...], {"metavar": "NAME"}] = (),
     seed: options.Seed = 0,
-    law: Annotated[str, options.law()] = SHIPPED,
+    law: options.Law = SHIPPED,
     no_laws: bool = False,
     resume: bool = False,
     workers: options.WorkersOption,
-    is_json: Annotated[bool, {"flags": "--json"}] = False,
+    is_json: options.Json = False,
 ) -> None:
     """Regenerate the figures, tables and report of the study from ten captured tables, or from CLOUDS of your own.
 
