@@ -57,8 +57,8 @@ class Shown:
     occlusion: float
     middle_m: Vector
     solid: Mesh | None
-    shadow: Mesh | None
-    revealed_m: Points
+    shadow: Mesh | None = None
+    revealed_m: Points = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 @dataclass(frozen=True)
