@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
+from scipy.spatial import KDTree
 
 from halfseen.arrays import expit
 from halfseen.evaluation.specification import task_of
@@ -266,7 +267,7 @@ def _map_of(policy: DiscretePolicy, states: pd.DataFrame, stage: int, telling: l
         across=across,
         up=up,
         taken=policy.decide(at, stage).astype(str).reshape(-1, len(across)),
-        is_supported=supported(across, up, values),
+        is_supported=supported(grid, values).reshape(-1, len(across)),
         dots=dots[list(names)].to_numpy(dtype=np.float64),
         done=dots["action"].astype(str).to_numpy(dtype=object),
         middle={
@@ -277,20 +278,14 @@ def _map_of(policy: DiscretePolicy, states: pd.DataFrame, stage: int, telling: l
     )
 
 
-def supported(
-    across: Float[np.ndarray, " k"], up: Float[np.ndarray, " j"] | None, states: Float[np.ndarray, "n d"]
-) -> Bool[np.ndarray, "j k"]:
-    """Whether enough logged states lie near each place of a grid, each covariate in its standard deviations."""
-    x, y = (states / states.std(axis=0)).T if up is not None else (states[:, 0] / states.std(), np.zeros(len(states)))
-    heights = np.zeros(1) if up is None else up / states[:, 1].std()
-    num_near = np.zeros((len(heights), len(across)), dtype=np.int64)
-    for column, place in enumerate(across / states[:, 0].std()):
-        # In a column of places, those near a state lie between two heights.
-        squared = NEAR**2 - (x - place) ** 2
-        reach, middle = np.sqrt(squared[squared >= 0.0]), y[squared >= 0.0]
-        begun = np.searchsorted(np.sort(middle - reach), heights, side="right")
-        num_near[:, column] = begun - np.searchsorted(np.sort(middle + reach), heights, side="left")
-    return num_near >= FEWEST_NEAR
+def supported(places: Float[np.ndarray, "k d"], states: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " k"]:
+    """Whether enough logged states lie near each place, each covariate in its standard deviations."""
+    scale = states.std(axis=0)
+    rows = pd.DataFrame(states / scale)
+    # A tree is slow with many equal points, of which enough suffice.
+    nearest: Any = KDTree(rows.groupby(list(rows)).head(FEWEST_NEAR))
+    distance, _ = nearest.query(places / scale, k=[FEWEST_NEAR])
+    return distance[:, 0] <= NEAR
 
 
 @dataclass(frozen=True, eq=False)
