@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,36 +20,34 @@ STORE = get_typestore(Stores.ROS2_HUMBLE)
 BEGAN_NS = 1_700_000_000 * 10**9
 
 
-def text(seconds, topic, value):
-    return seconds, topic, "std_msgs/msg/String", STORE.types["std_msgs/msg/String"](value)
+def made(kind, *fields):
+    return STORE.types[kind](*fields)
 
 
-def number(seconds, topic, value):
-    return seconds, topic, "std_msgs/msg/Float64", STORE.types["std_msgs/msg/Float64"](value)
+def sent(kind, seconds, topic, *fields):
+    """A message of a kind on a topic."""
+    return seconds, topic, kind, made(kind, *fields)
 
 
-def whole(seconds, topic, value):
-    return seconds, topic, "std_msgs/msg/Int32", STORE.types["std_msgs/msg/Int32"](value)
+text, number, whole = (partial(sent, f"std_msgs/msg/{kind}") for kind in ("String", "Float64", "Int32"))
 
 
 def header(stamp_s):
-    stamp = STORE.types["builtin_interfaces/msg/Time"](int(stamp_s), round(stamp_s % 1 * 1e9))
-    return STORE.types["std_msgs/msg/Header"](stamp, "camera")
+    stamp = made("builtin_interfaces/msg/Time", int(stamp_s), round(stamp_s % 1 * 1e9))
+    return made("std_msgs/msg/Header", stamp, "camera")
 
 
 def pose(seconds, topic, x, stamp_s=0.0):
-    point = STORE.types["geometry_msgs/msg/Point"](x, 0.0, 0.0)
-    turn = STORE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
-    message = STORE.types["geometry_msgs/msg/PoseStamped"](
-        header(stamp_s), STORE.types["geometry_msgs/msg/Pose"](point, turn)
-    )
-    return seconds, topic, "geometry_msgs/msg/PoseStamped", message
+    point = made("geometry_msgs/msg/Point", x, 0.0, 0.0)
+    turn = made("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
+    there = made("geometry_msgs/msg/Pose", point, turn)
+    return sent("geometry_msgs/msg/PoseStamped", seconds, topic, header(stamp_s), there)
 
 
 def joints(seconds, topic, positions, names=("a", "b")):
     empty = np.zeros(0)
-    message = STORE.types["sensor_msgs/msg/JointState"](header(0.0), list(names), np.array(positions), empty, empty)
-    return seconds, topic, "sensor_msgs/msg/JointState", message
+    fields = header(0.0), list(names), np.array(positions), empty, empty
+    return sent("sensor_msgs/msg/JointState", seconds, topic, *fields)
 
 
 def cloud(seconds, topic, points_m, shape, *, dtype="<f4", padding=0, axes="xyz", lost_bytes=0):
@@ -61,13 +60,11 @@ def cloud(seconds, topic, points_m, shape, *, dtype="<f4", padding=0, axes="xyz"
     rows = table.reshape(shape)
     data = b"".join(row.tobytes() + bytes(padding) for row in rows)
     field = STORE.types["sensor_msgs/msg/PointField"]
-    fields = [field("intensity", 0, 2, 1), *[field(axis, 1 + k * size, code, 1) for k, axis in enumerate(axes)]]
-    row_step = shape[1] * table.itemsize + padding
-    message = STORE.types["sensor_msgs/msg/PointCloud2"](
-        header(0.0), *shape, fields, dtype[0] == ">", table.itemsize, row_step,
-        np.frombuffer(data[: len(data) - lost_bytes], dtype=np.uint8), False,
-    )  # fmt: skip
-    return seconds, topic, "sensor_msgs/msg/PointCloud2", message
+    columns = [field("intensity", 0, 2, 1), *[field(axis, 1 + k * size, code, 1) for k, axis in enumerate(axes)]]
+    content = np.frombuffer(data[: len(data) - lost_bytes], dtype=np.uint8)
+    steps = table.itemsize, shape[1] * table.itemsize + padding
+    fields = header(0.0), *shape, columns, dtype[0] == ">", *steps, content, False
+    return sent("sensor_msgs/msg/PointCloud2", seconds, topic, *fields)
 
 
 def write_bag(path: Path, messages, storage="sqlite3") -> Path:

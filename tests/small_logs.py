@@ -3,7 +3,9 @@
 import numpy as np
 import pandas as pd
 
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
+from halfseen.policies.folder import read_policy, write_policy
 
 HIDES = np.array([[0.0, 0.4], [0.1, 0.0]])
 
@@ -39,6 +41,16 @@ def flat_log(num_trajectories=40, horizon=2, seed=0, cut_after_s=6.0):
             {"trajectory": trajectory, "end_s": min(clock, cut_s), "ending": "finished" if is_seen else "cut"}
         )
     return Logs(pd.DataFrame(stages), pd.DataFrame(trajectories))
+
+
+def flat_learner(reg=0.1, **options):
+    return CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=reg, **options)
+
+
+def kept(learner, logs, folder, **how):
+    """A policy that is learned from logs, written and read."""
+    write_policy(learner.fit(logs), logs, folder, **how)
+    return read_policy(folder)
 
 
 def table_log(num_trajectories=24, horizon=3, num_objects=2, seed=0, hides=HIDES):

@@ -1,9 +1,11 @@
 """A small log whose names try to break a page, the policy that was learned from it, and a value of the mind."""
 
 import numpy as np
+import pytest
 
 from halfseen.evaluation import Estimate, Evaluation
 from halfseen.logs import Logs
+from halfseen.view import findings
 from small_logs import flat_log
 
 ACTIONS = ["<b>grip</b>", "$push$ 抓取"]
@@ -36,3 +38,10 @@ def evaluation(verdict="better", **changed):
     }
     reason = "it earns <this> much"
     return Evaluation(**values, verdict=verdict, reason=reason, support=(0.5, 0.5), num_trajectories=40, level=0.95)
+
+
+def found(stored, logs, num_replicates=2, seed=0, **changed):
+    """Findings about a policy, with a value that was made up."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(findings, "evaluate", lambda *_, **__: evaluation(**changed))
+        return findings.find(stored, logs, num_replicates=num_replicates, seed=seed)

@@ -19,24 +19,7 @@ from event_files import write_events
 from foreign import arrays, episodes, rows_of, write_arrays, write_lerobot, write_rows
 from halfseen.cell.calibration.law import read_law
 from halfseen.errors import HalfseenError
-from halfseen.logs import LogStream, read_logs
-from halfseen.logs.formats import (
-    Queries,
-    StepRules,
-    read_bag,
-    read_csv,
-    read_event_mapping,
-    read_event_table,
-    read_lerobot,
-    read_mapping,
-    read_minari,
-    read_queries,
-    read_sql,
-    read_step_arrays,
-    read_steps,
-    write_csv,
-    write_minari,
-)
+from halfseen.logs import LogStream, formats, read_logs
 from halfseen.logs.parquet import bytes_of_texts, chunks_of
 from halfseen.perception import read_cloud
 from halfseen.perception.labels import read_labels
@@ -68,43 +51,43 @@ def piece(file):
 
 
 def lerobot(file):
-    return read_lerobot(next(folder for folder in file.parents if folder.name == "lerobot"))
+    return formats.read_lerobot(next(folder for folder in file.parents if folder.name == "lerobot"))
 
 
 def steps(file):
-    return read_steps(file, StepRules(step_s=1.0))
+    return formats.read_steps(file, formats.StepRules(step_s=1.0))
 
 
 def mcap(file):
-    return read_bag(file, file.parent / "mixed.toml")
+    return formats.read_bag(file, file.parent / "mixed.toml")
 
 
 def ros(file):
-    return read_bag(file, file.parents[1] / "cell.toml")
+    return formats.read_bag(file, file.parents[1] / "cell.toml")
 
 
 def folder_of_ros(file):
-    return read_bag(file.parent, file.parents[1] / "cell.toml")
+    return formats.read_bag(file.parent, file.parents[1] / "cell.toml")
 
 
 def events(file):
-    return read_event_table(file, file.parent / "events.toml")
+    return formats.read_event_table(file, file.parent / "events.toml")
 
 
 def minari(file):
-    return read_minari(file.parents[1])
+    return formats.read_minari(file.parents[1])
 
 
 def database(file):
-    return read_sql(f"sqlite:///{file}", Queries("SELECT * FROM stages", "SELECT * FROM trajectories"))
+    return formats.read_sql(f"sqlite:///{file}", formats.Queries("SELECT * FROM stages", "SELECT * FROM trajectories"))
 
 
 READERS = {
     "logs.json": of_folder(read_logs),
     "logs/stages.parquet": of_folder(read_logs),
-    "csv/columns.json": of_folder(read_csv),
-    "csv/stages.csv": of_folder(read_csv),
-    "mapping.toml": read_mapping,
+    "csv/columns.json": of_folder(formats.read_csv),
+    "csv/stages.csv": of_folder(formats.read_csv),
+    "mapping.toml": formats.read_mapping,
     "cloud.npz": read_cloud,
     "cloud.pcd": read_cloud,
     "cloud.ply": read_cloud,
@@ -123,13 +106,13 @@ READERS = {
     "lerobot/meta/episodes/chunk-000/file-000.parquet": lerobot,
     "lerobot/data/chunk-000/file-000.parquet": lerobot,
     **{f"steps.{kind}": steps for kind in ("parquet", "csv", "feather", "arrow")},
-    "steps.hdf5": read_step_arrays,
+    "steps.hdf5": formats.read_step_arrays,
     "cell.mcap": mcap,
     "cell.db": database,
-    "queries.toml": read_queries,
+    "queries.toml": formats.read_queries,
     "events.csv": events,
     "events.parquet": events,
-    "events.toml": read_event_mapping,
+    "events.toml": formats.read_event_mapping,
 }
 
 
@@ -138,7 +121,7 @@ def whole(tmp_path_factory):
     """Folders as they are written, which nobody changes."""
     folder = tmp_path_factory.mktemp("whole")
     flat_log().write(folder / "logs")
-    write_csv(flat_log(), folder / "csv")
+    formats.write_csv(flat_log(), folder / "csv")
     (folder / "lerobot").mkdir()
     write_lerobot(folder / "lerobot", episodes())
     for kind in ("parquet", "csv", "feather", "arrow"):
@@ -155,7 +138,7 @@ def whole(tmp_path_factory):
     write_events(folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("MINARI_DATASETS_PATH", str(folder))
-        write_minari(flat_log(6), "flat-v0")
+        formats.write_minari(flat_log(6), "flat-v0")
     return folder
 
 
@@ -199,7 +182,7 @@ NO_DATABASE = (
 )
 TORN = [
     *((f"steps.{kind}", steps, "steps") for kind in ("parquet", "csv", "feather", "arrow")),
-    ("steps.hdf5", read_step_arrays, r"steps\.hdf5: it is not a complete HDF5 file of steps"),
+    ("steps.hdf5", formats.read_step_arrays, r"steps\.hdf5: it is not a complete HDF5 file of steps"),
     *((name, read, NO_BAG) for name in ("db3/db3.db3", "chunks/chunks.mcap") for read in (ros, folder_of_ros)),
     ("cell.mcap", mcap, "it is not a complete bag"),
     (MINARI, minari, "flat-v0: "),
@@ -223,12 +206,12 @@ def test_a_file_that_breaks_off_is_refused(place, name, read, told):
 @pytest.mark.parametrize(
     ("name", "read", "extra"),
     [
-        ("steps.hdf5", read_step_arrays, "hdf5"),
+        ("steps.hdf5", formats.read_step_arrays, "hdf5"),
         ("db3/db3.db3", folder_of_ros, "ros"),
         ("cell.mcap", mcap, "mcap"),
         ("cell.db", database, "sql"),
         (MINARI, minari, "minari"),
-        (MINARI, lambda file: write_minari(flat_log(6), "other-v0"), "minari"),
+        (MINARI, lambda file: formats.write_minari(flat_log(6), "other-v0"), "minari"),
     ],
 )
 def test_without_its_library_the_remedy_is_named(place, monkeypatch, name, read, extra):
@@ -291,8 +274,8 @@ def test_a_type_that_is_nested_too_deeply_is_refused(place):
     told = json.loads(file.read_text())
     told["tables"]["stages"]["x1"] = "list<" * 5000 + "double" + ">" * 5000
     file.write_text(json.dumps(told))
-    assert "nested more than 64 levels" in refused(read_csv, place / "csv")
+    assert "nested more than 64 levels" in refused(formats.read_csv, place / "csv")
     file.unlink()
     stages = pd.read_csv(place / "csv" / "stages.csv", float_precision="round_trip").assign(x1="[" * 3000 + "]" * 3000)
     stages.to_csv(place / "csv" / "stages.csv", index=False)
-    read_csv(place / "csv")
+    formats.read_csv(place / "csv")

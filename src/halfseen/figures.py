@@ -190,11 +190,6 @@ def draw_zero(axes: Axes, colour: str = INK, width: float = 1.0) -> None:
     axes.axhline(0.0, color=colour, linewidth=width, zorder=1.5)
 
 
-def dodged(across: Any, place: int, num: int, factor: float) -> Float[np.ndarray, " k"]:
-    """Positions of one of `num` curves drawn side by side along a logarithmic axis."""
-    return np.asarray(across, dtype=float) * factor ** (place - (num - 1) / 2)
-
-
 def draw_curve(axes: Axes, across: Any, estimates: Any, **options: Any) -> None:
     """Draw a line with markers and a band; `estimates` has the columns mean, low and high."""
     mean, low, high = np.asarray(estimates, dtype=float).T

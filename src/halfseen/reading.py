@@ -205,23 +205,26 @@ def read_arrays(path: Path, names: Collection[str] | None = None, most_bytes: in
     ValueError
         The file is not an ``.npz`` file, is truncated, or holds objects.
     """
-    try:
-        with opened(path, most_bytes) as file, zipfile.ZipFile(file) as archive:
-            num_bytes = os.fstat(file.fileno()).st_size
-            members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-            wanted = {name: info for name, info in members.items() if names is None or name in names}
-            check_unpacked(num_bytes, sum(info.file_size for info in wanted.values()))
-            return {name: _array(archive, info) for name, info in wanted.items()}
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
-        raise ValueError(f"cut short, or not an .npz file: {reason_of(error)}") from error
+    with _archive(path, most_bytes) as (archive, num_bytes):
+        members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+        wanted = {name: info for name, info in members.items() if names is None or name in names}
+        check_unpacked(num_bytes, sum(info.file_size for info in wanted.values()))
+        return {name: _array(archive, info) for name, info in wanted.items()}
 
 
 def names_in_archive(path: Path, most_bytes: int = NUMBERS) -> list[str]:
     """Return the names of the arrays of an ``.npz`` file; errors as in `read_arrays`."""
+    with _archive(path, most_bytes) as (archive, _):
+        return [name.removesuffix(".npy") for name in archive.namelist()]
+
+
+@contextmanager
+def _archive(path: Path, most_bytes: int) -> Iterator[tuple[zipfile.ZipFile, int]]:
+    """Open an ``.npz`` file; and its size [B]."""
     try:
         with opened(path, most_bytes) as file, zipfile.ZipFile(file) as archive:
-            return [name.removesuffix(".npy") for name in archive.namelist()]
-    except (zipfile.BadZipFile, EOFError, NotImplementedError) as error:
+            yield archive, os.fstat(file.fileno()).st_size
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         raise ValueError(f"cut short, or not an .npz file: {reason_of(error)}") from error
 
 

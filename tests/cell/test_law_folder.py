@@ -15,7 +15,7 @@ from halfseen.cell.calibration.figures import held_shares
 from halfseen.cell.calibration.law import ATTEMPTS, LAW, fit_law, read_law, shipped_law, write_law
 from halfseen.cell.facts import Facts, look_again, tables_seen
 from halfseen.cell.live_cell import Stops
-from halfseen.cli.inputs import scenes_of
+from halfseen.cli.inputs import looks_at
 from halfseen.errors import LogError, PolicyError
 from halfseen.logs import Logs, read_logs
 from halfseen.policies.folder.files import write_files
@@ -161,7 +161,8 @@ def test_what_is_kept_is_what_is_seen():
 @pytest.mark.parametrize("is_shipped", [False, True])
 def test_a_table_that_is_kept_is_as_one_that_is_looked_at(is_shipped):
     law = read_law(shipped_law()).law if is_shipped else None
-    kept, (seen,) = scenes_of([], law)[7], scenes_of([table_paths()[7]], law)
+    (look,) = looks_at([table_paths()[7]])
+    kept, seen = looks_at([])[7](law), look(law)
     assert kept.name == seen.name
     np.testing.assert_allclose(kept.hides, seen.hides, rtol=0, atol=1e-9)
     # Fits of vessels end within micrometres of one another, whatever they start from.

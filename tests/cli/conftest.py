@@ -15,8 +15,7 @@ from halfseen import cli, perception, progress
 from halfseen.learning import CensoredQLearner
 from halfseen.perception import perceive, read_cloud
 from halfseen.policies import table_observation
-from halfseen.policies.folder import write_policy
-from small_logs import HIDES, flat_log, table_log
+from small_logs import HIDES, flat_learner, flat_log, kept, table_log
 
 
 class Typed(NamedTuple):
@@ -87,9 +86,8 @@ def house(tmp_path_factory):
     tables = table_log(num_objects=3, hides=np.pad(HIDES, (0, 1)))
     flat.write(folder / "logs")
     tables.write(folder / "table-logs")
-    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1)
-    write_policy(learner.fit(flat), flat, folder / "policy")
-    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(tables), tables, folder / "table-policy")
+    kept(flat_learner(), flat, folder / "policy")
+    kept(CensoredQLearner.for_table(3, reg=0.1), tables, folder / "table-policy")
     (folder / "two.toml").write_text("reward_per_s = -0.05\n" + LEFT + RIGHT)
     (folder / "three.toml").write_text(LEFT + RIGHT + BEHIND)
     few = ["--episodes", 40, "--horizon", 3, "--cut-share", 0.4, "--seed", 3]

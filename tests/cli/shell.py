@@ -1,5 +1,7 @@
 """A command line in this process, which raises what is wrong."""
 
+import json
+
 from click.testing import CliRunner
 
 from halfseen.cli import halfseen
@@ -13,3 +15,8 @@ LEFT, RIGHT, BEHIND = ROBOT.format("left", -0.4), ROBOT.format("right", 0.4), RO
 def run(*words):
     """Run ``halfseen`` with words that it takes."""
     return CliRunner().invoke(halfseen, [str(word) for word in words], catch_exceptions=False)
+
+
+def report(*words):
+    """What ``halfseen`` prints for programs."""
+    return json.loads(run(*words, "--json").stdout)

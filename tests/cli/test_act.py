@@ -1,6 +1,5 @@
 """``halfseen act`` and ``halfseen export``: a decision, its reason, and the policy as ONNX."""
 
-import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -16,12 +15,11 @@ from halfseen.cell.calibration.law import read_law, shipped_law
 from halfseen.learning import CensoredQLearner
 from halfseen.perception import perceive, read_cloud, write_pcd
 from halfseen.policies import read_policy
-from halfseen.policies.folder import write_policy
 from halfseen.policies.table_observation import past_in, see_table
 from halfseen.scene import table_paths
 from halfseen.world import TableWorld, UniformPolicy, WorldConfig
 from halfseen.world.seeing import label_evidence
-from small_logs import begun_log, flat_log
+from small_logs import begun_log, flat_learner, flat_log, kept
 
 TABLE = table_paths()[7]
 FLAT = flat_log()
@@ -33,7 +31,7 @@ def run(*words):
 
 
 def report_of(*words):
-    return json.loads(run(*words, "--json"))
+    return shell.report("act", *words)
 
 
 @pytest.fixture
@@ -93,8 +91,7 @@ def test_csv_and_json_say_the_same_and_people_get_the_reason_first(flat, tmp_pat
 
 def test_that_nothing_speaks_for_the_policy_is_told_at_each_decision(tmp_path):
     verdict = {"verdict": "not better", "reason": "it earns 2 less a trajectory than b, between -3 and -1 more"}
-    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1).fit(FLAT)
-    write_policy(learner, FLAT, tmp_path / "p", verdict=verdict | {"sentence": "Not better: …."})
+    kept(flat_learner(), FLAT, tmp_path / "p", verdict=verdict | {"sentence": "Not better: …."})
     told = f"no evidence that this policy beats the rule that made the logs: {verdict['reason']}"
     assert run(tmp_path / "p", state(tmp_path)).splitlines()[1] == f"warning: {told}"
     assert report_of(tmp_path / "p", state(tmp_path))["warnings"] == [told, DULL]
@@ -114,8 +111,7 @@ def test_a_table_is_decided_from_its_cloud(tables):
 def sure(tmp_path_factory):
     """A policy that was learned with pessimism, and so holds how sure its Q is."""
     folder, actions = tmp_path_factory.mktemp("act") / "sure", {1: ["A", "B"], 2: ["A", "C"]}
-    learner = CensoredQLearner(2, actions, ["x1", "x2"], q_function="linear", stages="separate", reg=0.1).fit(FLAT)
-    write_policy(learner, FLAT, folder)
+    kept(CensoredQLearner(2, actions, ["x1", "x2"], q_function="linear", stages="separate", reg=0.1), FLAT, folder)
     return folder
 
 
@@ -207,8 +203,7 @@ def test_labels_of_a_file_stand_before_colour_and_unknown_moves_nothing(tables, 
 def test_a_label_is_worth_what_the_law_says_to_a_policy_that_counts_views(tables, coloured, tmp_path):
     law, (cloud, view), policy = read_law(shipped_law()).law, coloured, tmp_path / "counting"
     logs = TableWorld(law.config(WorldConfig(horizon=3))).simulate([law.scene(view)], UniformPolicy(), 40, 0)
-    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, policy)
-    assert read_policy(policy).record["schema"]["counts_views"]
+    assert kept(CensoredQLearner.for_table(3, reg=0.1), logs, policy).record["schema"]["counts_views"]
     positive = law.seeing.positive(view.scene().occlusion, 0.0)
     expected = label_evidence(*positive, np.array([True, *[False] * 4]))
     told, plain = (see_table(read_policy(policy), file, law=law).present.state for file in (cloud, TABLE))

@@ -31,10 +31,11 @@ def command_of(trajectory):
 
 
 @pytest.mark.parametrize("trajectory", VERB_TRAJECTORIES, ids=" ".join)
-def test_every_verb_takes_quiet_and_shows_an_example(trajectory):
+def test_every_verb_takes_quiet_shows_an_example_and_says_what_each_option_is(trajectory):
     command = command_of(trajectory)
     assert sum("--quiet" in param.opts and "-q" in param.opts for param in command.params) == 1
     assert command.epilog.startswith(f"Example: halfseen {trajectory[0]}")
+    assert [param.name for param in command.params if isinstance(param, click.Option) and not param.help] == []
 
 
 @pytest.mark.parametrize(

@@ -158,7 +158,7 @@ KINDS = {
 @pytest.mark.parametrize("source", KINDS)
 def test_each_source_is_known_by_what_stands_there(sources, logs, source):
     kind, chosen = KINDS[source]
-    report = json.loads(run(source, "--out", "out", "--json", *chosen).output)
+    report = shell.report("convert", source, "--out", "out", *chosen)
     assert (report["format"], report["losses"], report["warnings"]) == (kind, [], [])
     back = read_logs("out")
     if kind == "sql":
@@ -202,7 +202,7 @@ def test_a_database_takes_its_queries_from_options_or_a_file(sources, logs):
 def test_a_table_of_events_is_read_by_a_mapping_in_one_command(place):
     write_events(place)
     for name in ("events.csv", "events.parquet"):
-        report = json.loads(run(name, "--mapping", "events.toml", "--out", f"{name}.out", "--json").output)
+        report = shell.report("convert", name, "--mapping", "events.toml", "--out", f"{name}.out")
         assert (report["format"], report["num_finished"], report["losses"]) == ("events", 1, [])
         assert report["causes"] == {"emergency stop": 1, "log ended": 1}
     assert same(read_logs("events.csv.out"), read_logs("events.parquet.out"))

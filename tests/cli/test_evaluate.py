@@ -11,9 +11,9 @@ from halfseen.evaluation import evaluate as evaluated
 from halfseen.evaluation.specification import specification_of
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, read_logs
-from halfseen.policies.folder import read_policy, write_policy
+from halfseen.policies.folder import read_policy
 from refusals import refused
-from small_logs import log_of
+from small_logs import kept, log_of
 
 told = partial(shell.run, "evaluate")
 
@@ -35,9 +35,8 @@ def folders(tmp_path_factory):
     folder = tmp_path_factory.mktemp("evaluate")
     for name, seed in (("learned", 0), ("aside", 1)):
         clinic(seed).write(folder / name)
-    logs = read_logs(folder / "learned")
-    learner = CensoredQLearner.of_paper(1, {1: ["A", "B"]}, ["x"], reg=1e-3).fit(logs)
-    write_policy(learner, logs, folder / "policy")
+    learner = CensoredQLearner.of_paper(1, {1: ["A", "B"]}, ["x"], reg=1e-3)
+    kept(learner, read_logs(folder / "learned"), folder / "policy")
     return folder
 
 
@@ -64,14 +63,14 @@ def test_each_baseline_has_a_line_and_an_entry(folders):
     assert [line.split()[-1] for line in lines[8:]] == ["better"] * 4
     assert lines[11].endswith("not better")
     assert lines[0].startswith("Not better: it earns as much a trajectory as the policy policy")
-    report = json.loads(told(folders / "policy", "--logs", folders / "aside", *options, "--json").output)
+    report = shell.report("evaluate", folders / "policy", "--logs", folders / "aside", *options)
     assert [each["baseline"] for each in report["comparisons"]] == names
     assert report["comparisons"][3]["difference"]["value"] == 0.0
     assert {"value", "difference", "p", "adjusted_p", "verdict", "reason"} < set(report["comparisons"][0])
 
 
 def test_json_carries_what_the_library_says(folders):
-    report = json.loads(told(folders / "policy", "--logs", folders / "aside", "--json", "--seed", 3).output)
+    report = shell.report("evaluate", folders / "policy", "--logs", folders / "aside", "--seed", 3)
     stored, logs = read_policy(folders / "policy"), read_logs(folders / "aside")
     spec = specification_of(stored, logs)
     answer = evaluated(stored.policy, logs, censoring=spec.censoring, q=spec.q, random_state=3)
@@ -99,8 +98,7 @@ def test_whole_numbers_are_no_text_in_evaluate_report_and_baselines(tmp_path):
         logs = clinic(0, 60)
         logs = Logs(logs.stages.assign(action=logs.stages["action"].map(names)), logs.trajectories)
         logs.write(tmp_path / kind)
-        learner = CensoredQLearner.of_paper(1, {1: list(names.values())}, ["x"], reg=0.1).fit(logs)
-        write_policy(learner, logs, tmp_path / f"of_{kind}")
+        kept(CensoredQLearner.of_paper(1, {1: list(names.values())}, ["x"], reg=0.1), logs, tmp_path / f"of_{kind}")
     of_whole, of_text, whole, text = (tmp_path / name for name in ("of_whole", "of_text", "whole", "text"))
     is_whole, is_text = "whole numbers, such as 1", "text, such as '1'"
     with refused(rf"of the policy are {is_whole}, but the log's are {is_text}; write .* as whole numbers$"):
@@ -121,8 +119,7 @@ def test_a_word_that_unicode_composes_otherwise_is_said_to_be_the_same(folders, 
     for kind, name in (("nfc", "caf\u00e9"), ("nfd", "cafe\u0301")):
         named = Logs(logs.stages.assign(action=logs.stages["action"].replace("A", name)), logs.trajectories)
         named.write(tmp_path / kind)
-        learner = CensoredQLearner.of_paper(1, {1: [name, "B"]}, ["x"], reg=0.1).fit(named)
-        write_policy(learner, named, tmp_path / f"of_{kind}")
+        kept(CensoredQLearner.of_paper(1, {1: [name, "B"]}, ["x"], reg=0.1), named, tmp_path / f"of_{kind}")
     with refused(r"the action 'caf\\xe9' of the policy is 'cafe\\u0301' in the log, the same word"):
         told(tmp_path / "of_nfc", "--logs", tmp_path / "nfd")
     with refused(r"the action 'cafe\\u0301' of the policy of_nfd is 'caf\\xe9' in the log"):

@@ -14,8 +14,7 @@ import shell
 
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder
-from halfseen.policies.folder import write_policy
-from small_logs import log_of
+from small_logs import kept, log_of
 from small_report import ACTIONS, COVARIATES, hostile_log
 
 
@@ -60,7 +59,7 @@ stage  begun  completed  cut  5 % [s]  median [s]  95 % [s]  effective sample si
 def test_a_log_of_several_robots_says_so(folder, tmp_path):
     log_of(stage=range(1, 5), elapsed_s=[1.0, 2.0, 3.0, 4.0], robot=[0, 1, 0, 0]).write(tmp_path / "team")
     assert "robots            2, of whose decisions 0 made 75%, 1 made 25%" in run(tmp_path / "team").splitlines()
-    assert json.loads(run(tmp_path / "team", "--json"))["robots"] == [
+    assert shell.report("inspect", tmp_path / "team")["robots"] == [
         {"robot": "0", "num_decisions": 3, "share": 0.75},
         {"robot": "1", "num_decisions": 1, "share": 0.25},
     ]
@@ -76,7 +75,7 @@ def test_what_looks_wrong_is_told_near_the_top_and_in_json(tmp_path):
         "- All 20 rewards are 2: no action is better than another.",
         "- Covariate lamp is 'on' in all 20 rows: a dead sensor, or a column to leave out.",
     ]
-    report = json.loads(run(tmp_path / "logs", "--json"))
+    report = shell.report("inspect", tmp_path / "logs")
     kinds = [doubt["kind"] for doubt in report["data_warnings"]]
     assert kinds == ["no-exploration", "equal-rewards", "constant-covariate"]
     assert report["covariates"] == ["lamp"]
@@ -89,7 +88,7 @@ def test_a_long_table_is_cut_short_and_json_is_not(tmp_path):
     assert "go 19" in output
     assert "go 20" not in output
     assert output.count("and 10 more (--json has all)") == 2
-    report = json.loads(run(tmp_path / "logs", "--json"))
+    report = shell.report("inspect", tmp_path / "logs")
     assert (len(report["choices"]), len(report["clock"])) == (30, 30)
 
 
@@ -99,7 +98,7 @@ def test_reads_what_a_recorder_is_writing(tmp_path):
         trajectory.begin_stage({"x": 0.5}, action="PICK", probability=0.5)
         trajectory.complete_stage(1.0)
         trajectory.begin_stage({"x": 0.7})
-        report = json.loads(run(tmp_path, "--json"))
+        report = shell.report("inspect", tmp_path)
         assert report["cuts"][0]["cause"] == "still-running"
         assert report["choices"][0]["smallest_probability"] == 0.5
         assert report["clock"][1]["median_s"] is None
@@ -110,7 +109,7 @@ def test_says_what_the_weights_rest_on_and_whose_the_largest_are(folder):
     output = run(folder)
     assert "Too little: 2 finishes have an effective sample size of 1.8." in output
     assert "Largest weights: 2 (trajectory 1, 5 s), 1 (trajectory 3, 2 s)." in output
-    positivity = json.loads(run(folder, "--json"))["positivity"]
+    positivity = shell.report("inspect", folder)["positivity"]
     assert not positivity["is_sound"]
     assert positivity["heaviest"][0] == {"trajectory": "1", "time_s": 5.0, "weight": 2.0}
 
@@ -132,8 +131,7 @@ def judged(tmp_path_factory):
     judged = tmp_path_factory.mktemp("report-verb")
     logs = hostile_log(num_trajectories=24)
     logs.write(judged / "logs")
-    learner = CensoredQLearner.of_paper(2, ACTIONS, COVARIATES, reg=0.1).fit(logs)
-    write_policy(learner, logs, judged / "policy")
+    kept(CensoredQLearner.of_paper(2, ACTIONS, COVARIATES, reg=0.1), logs, judged / "policy")
     return judged
 
 
@@ -165,7 +163,7 @@ def test_says_the_answer_and_where_the_page_is_and_the_same_again(judged, tmp_pa
 def test_the_page_is_against_whom_it_is_told(judged, tmp_path):
     sequence = "sequence:" + ",".join([ACTIONS[0]] * 2)
     arguments = [judged / "logs", judged / "policy", "--replicates", 4, "--against", sequence, "--against", "logging"]
-    numbers = json.loads(reported(*arguments, "--out", tmp_path / "a.html", "--json").stdout)
+    numbers = shell.report("report", *arguments, "--out", tmp_path / "a.html")
     baselines = [each["baseline"] for each in numbers["value"]["comparisons"]]
     assert len(baselines) == 2
     assert baselines[1] == "the logging policy"
@@ -181,7 +179,7 @@ def test_without_a_policy_the_page_is_of_the_log(judged, tmp_path):
     page = (tmp_path / "a.html").read_text()
     assert f"halfseen report {judged / 'logs'} --unit parts --seed 0" in page
     assert "Rewards are in parts." in page
-    numbers = json.loads(reported(judged / "logs", "--out", tmp_path / "b.html", "--unit", "parts", "--json").stdout)
+    numbers = shell.report("report", judged / "logs", "--out", tmp_path / "b.html", "--unit", "parts")
     assert "policy_folder" not in numbers
     assert numbers["log"]["reward_unit"] == "parts"
     assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()

@@ -32,7 +32,7 @@ def table(tmp_path) -> Path:
 
 
 def objects_of(*words):
-    return json.loads(run(*words, "--json").output)["objects"]
+    return shell.report("look", *words)["objects"]
 
 
 def test_the_first_line_is_a_plain_sentence_and_the_table_is_aligned(table):
@@ -55,7 +55,7 @@ def test_what_is_cut_is_named_where_it_hides_an_object(tmp_path):
 
 
 def test_json_has_exactly_the_promised_keys(table):
-    told = json.loads(run(table, "--json").output)
+    told = shell.report("look", table)
     assert list(told) == ["table", "objects", "hides"]
     assert list(told["table"]) == ["normal", "offset_m"]
     assert np.linalg.norm(told["table"]["normal"]) == pytest.approx(1.0)
@@ -91,7 +91,7 @@ def test_colour_tells_what_looks_dirty_and_labels_of_a_file_stand_before_it(stai
     for seen in told:
         assert list(seen)[-3:] == ["label", "share_in_view", "p_dirty"]
         assert seen["share_in_view"] == pytest.approx(0.3 * (1 - seen["occlusion"]))
-    both = json.loads(run(stained, table, "--json", "--workers", 1).output)
+    both = shell.report("look", stained, table, "--workers", 1)
     assert [each["objects"] for each in both] == [told, objects_of(table)]
     # All but the labels is as without colour.
     plain = run(table).output.splitlines()
@@ -193,7 +193,7 @@ def test_every_door_shows_one_probability_and_a_pattern_tells_nothing(coloured, 
     assert stage.events[-1] == look.words
     assert look.words.startswith("Labels by colour (dirty: 0; clean: 2, 3, 4; unknown: 1); P(dirty) is 0: 0.8")
     write_pcd(cloud, tmp_path / "a.pcd")
-    said = json.loads(shell.run("look", tmp_path / "a.pcd", "--json").output)
+    said = shell.report("look", tmp_path / "a.pcd")
     assert [seen["p_dirty"] for seen in said["objects"]] == look.chances
     table = shell.run("look", tmp_path / "a.pcd").output.splitlines()
     assert [line.split()[-1] for line in table[-5:]] == [f"{chance:.2f}" for chance in look.chances]

@@ -13,10 +13,10 @@ from chromium import PAGES, faults_of, in_browser
 from halfseen.cli import act as module
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder, Logs, read_logs
-from halfseen.policies.folder import read_policy, write_policy
+from halfseen.policies.folder import read_policy
 from holes import holed
 from refusals import refused
-from small_logs import log_of
+from small_logs import kept, log_of
 
 told = partial(shell.run, "monitor")
 
@@ -37,9 +37,8 @@ def folders(tmp_path_factory):
     folder = tmp_path_factory.mktemp("monitor")
     for name, seed, moved in (("learned", 0, 0.0), ("next", 1, 0.0), ("moved", 1, 0.7)):
         clinic(seed, moved=moved).write(folder / name)
-    logs = read_logs(folder / "learned")
-    learner = CensoredQLearner.of_paper(1, {1: ["A", "B"]}, ["x", "y"], reg=1e-3).fit(logs)
-    write_policy(learner, logs, folder / "policy")
+    learner = CensoredQLearner.of_paper(1, {1: ["A", "B"]}, ["x", "y"], reg=1e-3)
+    kept(learner, read_logs(folder / "learned"), folder / "policy")
     return folder
 
 
@@ -54,8 +53,7 @@ def test_no_alarm_is_told_with_what_is_not_watched_and_status_0(folders):
 def test_what_is_missing_is_filled_in_as_where_the_policy_was_learned(tmp_path):
     rule = {"x": "median+flag"}
     logs = holed(clinic(0), columns=("x",), missing=rule)
-    learner = CensoredQLearner.of_paper(1, {1: ["A", "B"]}, ["x", "y", "x_missing"], reg=1e-3).fit(logs)
-    write_policy(learner, logs, tmp_path / "policy")
+    kept(CensoredQLearner.of_paper(1, {1: ["A", "B"]}, ["x", "y", "x_missing"], reg=1e-3), logs, tmp_path / "policy")
     holed(clinic(1), seed=1, columns=("x",)).write(tmp_path / "next")
     assert told(tmp_path / "policy", "--logs", tmp_path / "next").output.startswith("No alarm: in 300 trajectories")
     holed(clinic(1), share=0.6, columns=("x",)).write(tmp_path / "lost")
@@ -98,11 +96,11 @@ def test_after_mending_it_watches_anew(folders, tmp_path):
 
 
 def test_json_has_all_of_it(folders):
-    report = json.loads(told(folders / "policy", "--logs", folders / "moved", "--json").output)
+    report = shell.report("monitor", folders / "policy", "--logs", folders / "moved")
     assert report["is_alarm"]
     assert report["findings"][0]["name"] == "x in stage 1"
     assert report["findings"][0]["p_value"] < 1e-3
-    assert json.loads(told(folders / "policy", "--logs", folders / "next", "--json").output)["findings"] == []
+    assert shell.report("monitor", folders / "policy", "--logs", folders / "next")["findings"] == []
 
 
 def test_the_page_tells_the_same_and_is_replaced_only_if_asked(folders, tmp_path):
@@ -160,12 +158,9 @@ def cell(num, seed, gain, first=1):
     rng = np.random.default_rng(seed)
     x, is_a, took = rng.random(num), rng.random(num) < 0.5, rng.uniform(1.0, 3.0, num)
     is_cut = rng.random(num) < 0.2
-    names = np.arange(first, first + num)
-    stages = {"trajectory": names, "stage": 1, "action": np.where(is_a, "A", "B"), "x": x}
     reward = np.where(is_a, x + gain, 0.0) + 0.3 * rng.normal(size=num)
-    stages |= {"elapsed_s": np.where(is_cut, np.nan, took), "reward": np.where(is_cut, np.nan, reward)}
-    ends = {"trajectory": names, "end_s": took, "ending": np.where(is_cut, "cut", "finished")}
-    return Logs(pd.DataFrame(stages), pd.DataFrame(ends))
+    done = {"elapsed_s": np.where(is_cut, np.nan, took), "action": np.where(is_a, "A", "B"), "reward": reward}
+    return log_of({"end_s": took}, trajectory=np.arange(first, first + num), x=x, **done)
 
 
 @pytest.fixture(scope="module")
@@ -196,7 +191,7 @@ def test_a_change_is_told_with_the_command_that_takes_only_what_still_holds(fold
 
 
 def test_all_is_used_until_one_says_so_and_the_doubt_is_kept(folder, tmp_path):
-    report = json.loads(shell.run("learn", folder / "both", "--out", tmp_path / "policy", *LEARN, "--json").output)
+    report = shell.report("learn", folder / "both", "--out", tmp_path / "policy", *LEARN)
     log = report["log"]
     assert log["num_trajectories"] == 250
     assert [(each["num_trajectories"], each["first"], each["last"]) for each in log["sources"]] == [
@@ -235,7 +230,7 @@ def test_act_says_which_logs_it_was_learned_from(folder, tmp_path):
     (tmp_path / "now.json").write_text('{"x": 0.5}')
     told = shell.run("act", folder / "policy", tmp_path / "now.json").output
     assert told.splitlines()[-1] == "learned from 150 trajectories of old (1 to 150)"
-    assert json.loads(shell.run("act", folder / "policy", tmp_path / "now.json", "--json").output)["learned_from"] == [
+    assert shell.report("act", folder / "policy", tmp_path / "now.json")["learned_from"] == [
         {"name": "old", "num_trajectories": 150, "first": 1, "last": 150}
     ]
 

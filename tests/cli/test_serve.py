@@ -13,24 +13,16 @@ from subprocess import PIPE
 import httpx2
 import pytest
 
-from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
-from halfseen.policies.folder import write_policy
 from lines import as_lines
-from small_logs import flat_log
+from small_logs import flat_learner, flat_log, kept
 
 SEEN = {"x1": 0.4, "x2": 1}
 
 
-def write(folder, reg, **options):
-    logs = flat_log()
-    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=reg)
-    write_policy(learner.fit(logs), logs, folder, **options)
-
-
 @pytest.fixture
 def policy(tmp_path):
-    write(tmp_path / "policy", reg=0.1)
+    kept(flat_learner(), flat_log(), tmp_path / "policy")
     return tmp_path / "policy"
 
 
@@ -55,7 +47,7 @@ def test_a_controller_without_python_gets_decisions_and_makes_the_next_log(polic
         told = client.post("/decide", json=SEEN).json()
         assert told["action"] in ("A", "B")
         client.post("/reward", json={"reward": 2})
-        write(policy, reg=5.0, overwrite=True)
+        kept(flat_learner(5.0), flat_log(), policy, overwrite=True)
         process.send_signal(signal.SIGHUP)
         for _ in range(2000):
             if client.get("/health").json()["policy"] != told["policy"]:

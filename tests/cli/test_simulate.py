@@ -58,9 +58,7 @@ FEW = ["--episodes", 40, "--horizon", 3, "--cut-share", 0.4, "--seed", 3]
 def test_simulate_records_what_the_library_does(house, tmp_path):
     world = TableWorld.of(read_team(house / "two.toml"), WorldConfig(horizon=3))
     logs = read_logs(house / "team-logs")
-    report = json.loads(
-        run("simulate", TABLE, "--team", house / "two.toml", "--out", tmp_path / "again", *FEW, "--json").stdout
-    )
+    report = shell.report("simulate", TABLE, "--team", house / "two.toml", "--out", tmp_path / "again", *FEW)
     assert read_logs(tmp_path / "again").stages.equals(logs.stages)
     assert (report["team"], report["robots"]) == (str(house / "two.toml"), ["left", "right"])
     assert (robots_in(logs), most_decisions(logs, 2)) == (2, 3)
@@ -127,9 +125,7 @@ def test_learn_learns_what_the_library_does_and_counts_what_it_takes(house, lear
     by_hand = replace(by_hand, is_seen=None)
     for ours, theirs in zip(leaves_of(stored.policy), leaves_of(by_hand), strict=True):
         np.testing.assert_array_equal(ours, theirs)
-    report = json.loads(
-        run("learn", house / "team-logs", "--out", tmp_path / "again", "--reg", "0.1", "--no-verdict", "--json").stdout
-    )
+    report = shell.report("learn", house / "team-logs", "--out", tmp_path / "again", "--reg", "0.1", "--no-verdict")
     states, stages = states_of(logs, 6), logs.stages
     for row in report["actions"]:
         at = np.flatnonzero(stages["stage"] == row["stage"])
@@ -151,7 +147,7 @@ def test_evaluate_plays_the_team_beside_the_rules(house, learned):
     assert lines[0].startswith("It earns ")
     assert lines[2].startswith("30 episodes on 1 tables of the simulated world, by 2 robots (left, right); ")
     assert len(lines) == 9
-    report = json.loads(run("evaluate", house / "team-policy", TABLE, "--world", *options, "--json").stdout)
+    report = shell.report("evaluate", house / "team-policy", TABLE, "--world", *options)
     assert report["robots"] == ["left", "right"]
     world = TableWorld.of(read_team(house / "two.toml"), WorldConfig(horizon=3))
     scene, policy = perceive(read_cloud(TABLE)).scene(), read_policy(house / "team-policy").policy

@@ -90,7 +90,7 @@ def test_a_column_that_is_asked_for_and_cannot_be_looked_at_is_refused(folder, t
 def test_act_takes_text_as_csv_or_json_and_tells_what_speaks_for_the_action(folder, tmp_path):
     as_json = state(tmp_path, "a.json", '{"x": 0.1, "colour": "blue", "is_heavy": true, "stage": 1}')
     as_csv = state(tmp_path, "a.csv", "colour,is_heavy,x,stage\nblue,True,0.1,1\n")
-    report = json.loads(run("act", folder / "policy", as_json, "--json"))
+    report = shell.report("act", folder / "policy", as_json)
     assert run("act", folder / "policy", as_csv) == run("act", folder / "policy", as_json)
     row = pd.DataFrame({"x": [0.1], "colour": ["blue"], "is_heavy": [True]})
     policy = read_policy(folder / "policy").policy
@@ -111,8 +111,8 @@ def test_act_warns_of_a_category_that_this_stage_never_showed(folder, tmp_path):
     run("learn", tmp_path / "logs", "--out", tmp_path / "policy", *QUICK, "--stages", "separate")
     blue = state(tmp_path, "a.json", '{"x": 0.1, "colour": "blue", "is_heavy": true}')
     told = "colour is blue, which no state of the logs showed at this stage; Q is extrapolated"
-    assert json.loads(run("act", tmp_path / "policy", blue, "--json"))["warnings"] == [told]
-    assert json.loads(run("act", tmp_path / "policy", blue, "--stage", 2, "--json"))["warnings"] == []
+    assert shell.report("act", tmp_path / "policy", blue)["warnings"] == [told]
+    assert shell.report("act", tmp_path / "policy", blue, "--stage", 2)["warnings"] == []
 
 
 def test_act_says_of_another_spelling_that_it_is_one(folder, tmp_path):
@@ -174,16 +174,14 @@ def logs(tmp_path_factory):
 
 def test_learn_and_evaluate_read_a_log_by_the_rules(logs, tmp_path):
     rules = ("--missing", "median+flag,is_heavy=last")
-    learned = json.loads(shell.run("learn", logs, "--out", tmp_path / "p", *rules, *PLAIN, "--json").stdout)
+    learned = shell.report("learn", logs, "--out", tmp_path / "p", *rules, *PLAIN)
     assert learned["schema"]["covariates"] == ["x", "colour", "is_heavy", "x_missing"]
     assert learned["notes"][0].startswith("x is missing in ")
-    one = json.loads(shell.run("evaluate", tmp_path / "p", "--logs", logs, "--json").stdout)
+    one = shell.report("evaluate", tmp_path / "p", "--logs", logs)
     assert one["is_learned_from_these_logs"]
-    named = json.loads(
-        shell.run("learn", logs, "--out", tmp_path / "q", *rules, *PLAIN, "--covariates", "x", "--json").stdout
-    )
+    named = shell.report("learn", logs, "--out", tmp_path / "q", *rules, *PLAIN, "--covariates", "x")
     assert named["schema"]["covariates"] == ["x", "x_missing"]
-    seen = json.loads(shell.run("inspect", logs, "--missing", "last", "--json").stdout)
+    seen = shell.report("inspect", logs, "--missing", "last")
     assert [line.partition(" ")[0] for line in seen["missing"]] == ["x", "colour", "is_heavy"]
     with refused("--missing x=median.flag"):
         shell.run("inspect", logs)
@@ -194,14 +192,12 @@ def test_evaluate_fills_in_what_the_policy_has_no_rule_for(logs, tmp_path):
     evaluated = ("evaluate", tmp_path / "p", "--logs", logs, "--json")
     assert json.loads(shell.run(*evaluated).stdout)["sentence"]
     holed_log(0.2, num_trajectories=30, seed=1).write(tmp_path / "other")
-    told = json.loads(
-        shell.run("evaluate", tmp_path / "p", "--logs", tmp_path / "other", "--missing", "last", "--json").stdout
-    )
+    told = shell.report("evaluate", tmp_path / "p", "--logs", tmp_path / "other", "--missing", "last")
     assert not told["is_learned_from_these_logs"]
 
 
 def test_convert_keeps_null_and_says_so(logs, tmp_path):
-    told = json.loads(shell.run("convert", logs, "--out", f"csv:{tmp_path / 'csv'}", "--json").stdout)
+    told = shell.report("convert", logs, "--out", f"csv:{tmp_path / 'csv'}")
     raw = read_logs(logs, missing="keep").stages
     assert told["missing"] == {name: int(raw[name].isna().sum()) for name in ("x", "colour", "is_heavy")}
     shell.run("convert", tmp_path / "csv", "--out", tmp_path / "again")

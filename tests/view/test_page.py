@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from watched_runs import run
 
-from chromium import BROWSER, tab
+from chromium import in_browser, tab
 
 viser = pytest.importorskip("viser", reason="the extra 'watch' is not installed")
 
 from halfseen.view.viewer import HERE, Page, write_html  # noqa: E402
 
-in_browser = pytest.mark.skipif(BROWSER is None, reason="no chromium is installed")
 WORDS = "(document.querySelector('.halfseen-stage') || {innerText: ''}).innerText"
 FRAME = "(document.querySelector('iframe') || {contentDocument: document}).contentDocument"
 CANVAS = f"{FRAME}.querySelector('canvas')"

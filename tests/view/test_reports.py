@@ -18,11 +18,8 @@ from halfseen.evaluation.evaluation import PerHour, Rate
 from halfseen.evaluation.specification import task_of
 from halfseen.figures import MOST_MARKERS, inline_svg
 from halfseen.learning import CensoredQLearner
-from halfseen.logs import Logs
-from halfseen.policies.folder import read_policy, write_policy
 from halfseen.policies.named_decider import NamedObservation
 from halfseen.policies.observations import decider_of
-from halfseen.view import findings as found_in
 from halfseen.view import page as page_module
 from halfseen.view.findings import find
 from halfseen.view.log_figures import draw_follow_up
@@ -30,8 +27,8 @@ from halfseen.view.log_findings import follow_up
 from halfseen.view.page import MARK, page_of, write_page
 from halfseen.view.policy_findings import choices, q_curves
 from halfseen.view.words import answer, answer_of, standing, why_no_hours
-from small_logs import table_log
-from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, hostile_log
+from small_logs import kept, log_of, table_log
+from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, found, hostile_log
 
 EMPTY = {"meta", "br"}
 UNIT = "<i>net</i> picks"
@@ -92,11 +89,7 @@ def test_it_tells_of_the_log_and_of_nothing_else():
 def one_stage(ends):
     """Trajectories of one stage: (end, whether it finished)."""
     end_s, is_done = (np.array(each) for each in zip(*ends, strict=True))
-    done = {"elapsed_s": np.where(is_done, end_s, np.nan), "reward": np.where(is_done, 1.0, np.nan)}
-    trajectories = {"trajectory": range(len(ends)), "end_s": end_s, "ending": np.where(is_done, "finished", "cut")}
-    return Logs(
-        pd.DataFrame({"trajectory": range(len(ends)), "stage": 1, "action": "A", **done}), pd.DataFrame(trajectories)
-    )
+    return log_of({"end_s": end_s}, trajectory=range(len(ends)), elapsed_s=np.where(is_done, end_s, np.nan))
 
 
 @pytest.mark.parametrize(
@@ -147,23 +140,10 @@ def logs():
     return hostile_log()
 
 
-def kept(learner, logs, folder):
-    """A policy that was learned from logs, written and read."""
-    write_policy(learner.fit(logs), logs, folder)
-    return read_policy(folder)
-
-
 @pytest.fixture(scope="module")
 def stored(logs, tmp_path_factory):
     learner = CensoredQLearner.of_paper(2, ACTIONS, COVARIATES, reg=0.1, random_state=3)
     return kept(learner, logs, tmp_path_factory.mktemp("report") / "policy")
-
-
-def found(stored, logs, num_replicates=2, seed=0):
-    """Findings about a policy, with a value that was made up."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(found_in, "evaluate", lambda *_, **__: evaluation())
-        return find(stored, logs, num_replicates=num_replicates, seed=seed)
 
 
 @pytest.fixture(scope="module")

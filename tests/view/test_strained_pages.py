@@ -13,18 +13,15 @@ from halfseen.censoring import positivity_report
 from halfseen.figures import style
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
-from halfseen.policies.folder import read_policy, write_policy
-from halfseen.view import findings as found_in
 from halfseen.view import page as page_module
-from halfseen.view.findings import find
 from halfseen.view.log_figures import draw_follow_up
 from halfseen.view.log_findings import FollowUp, Timeline
 from halfseen.view.page import page_of, write_page
 from halfseen.view.policy_figures import draw_curves, draw_map, draw_values
 from halfseen.view.policy_findings import PolicyMap, QCurve
 from halfseen.view.words import curves_title, standing, timeline_title
-from small_logs import flat_log
-from small_report import estimate, evaluation
+from small_logs import flat_log, kept
+from small_report import estimate, evaluation, found
 
 LONG = "the gripper is smeared with oil and misses whatever it reaches for"
 UNIT = "good parts of each shift"
@@ -144,10 +141,7 @@ def many_actions(tmp_path_factory):
     logs = Logs(stages.drop(columns="colour"), logs.trajectories, reward_unit=UNIT)
     folder = tmp_path_factory.mktemp("many") / "policy"
     learner = CensoredQLearner(2, names.tolist(), ["x1", "x2", *more], reg=1.0, stages="pooled")
-    write_policy(learner.fit(logs), logs, folder)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(found_in, "evaluate", lambda *_, **__: evaluation(reward_unit=UNIT))
-        return find(read_policy(folder), logs, num_replicates=2, seed=0)
+    return found(kept(learner, logs, folder), logs, reward_unit=UNIT)
 
 
 def test_of_more_actions_than_colours_those_that_the_policy_takes_have_one(many_actions):

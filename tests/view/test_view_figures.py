@@ -183,10 +183,9 @@ def test_support_is_enough_states_nearby_by_a_loop(num_covariates):
     places = [[x, y][:num_covariates] for y in (up if num_covariates == 2 else [0.0]) for x in across]
     scaled, near = states / states.std(axis=0), np.array(places) / states.std(axis=0)
     by_loop = [sum(np.linalg.norm(place - one) <= NEAR for one in scaled) >= FEWEST_NEAR for place in near]
-    asked = across, up if num_covariates == 2 else None
-    assert supported(*asked, states).ravel().tolist() == by_loop
+    assert supported(np.array(places), states).tolist() == by_loop
     assert 0 < sum(by_loop) < len(places)
-    assert not supported(*asked, states[: FEWEST_NEAR - 1]).any()
+    assert not supported(np.array(places), states[: FEWEST_NEAR - 1]).any()
 
 
 def test_objects_of_a_log_are_counted_by_what_the_policy_would_do_to_them(monkeypatch):

@@ -10,14 +10,14 @@ from halfseen.errors import ArgumentError, CloudError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.perception import perceive, read_cloud, write_pcd
-from halfseen.policies import Decision, read_policy, write_policy
+from halfseen.policies import Decision
 from halfseen.scene import table_paths
 from halfseen.tables.present import first_state
 from halfseen.view.recording import read_recording, write_recording
 from halfseen.view.shapes import convex_mesh, is_behind, revealed_by, shadow
 from halfseen.view.stage_view import stage_html
 from halfseen.view.stages import coloured_points, watched_cloud, watched_logs
-from small_logs import table_log
+from small_logs import kept, table_log
 
 
 def box(middle_m, half_m):
@@ -123,7 +123,7 @@ def test_points_keep_their_colours_and_others_are_grey():
 
 
 @pytest.fixture(scope="module")
-def kept(view, tmp_path_factory):
+def in_folder(view, tmp_path_factory):
     """Logs of a table, each of whose stages names its cloud."""
     folder = tmp_path_factory.mktemp("clouds")
     logs = table_log(num_trajectories=4, num_objects=len(view.objects), hides=view.hides, seed=1)
@@ -131,8 +131,8 @@ def kept(view, tmp_path_factory):
     return Logs(logs.stages.assign(cloud="look.pcd"), logs.trajectories, logs.objects), folder
 
 
-def test_each_stage_shows_its_cloud_and_what_the_log_knew(kept):
-    logs, folder = kept
+def test_each_stage_shows_its_cloud_and_what_the_log_knew(in_folder):
+    logs, folder = in_folder
     watched = watched_logs(logs, folder, 2)
     trajectory = logs.select(logs.trajectory_ids[1:2])
     assert len(watched.stages) == trajectory.horizon
@@ -146,18 +146,18 @@ def test_each_stage_shows_its_cloud_and_what_the_log_knew(kept):
     assert watched.stages[-1].events[-1].startswith("the trajectory ")
 
 
-def test_a_policy_is_asked_at_each_stage(kept, tmp_path):
-    logs, folder = kept
-    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, tmp_path / "policy")
-    watched = watched_logs(logs, folder, 1, read_policy(tmp_path / "policy"))
+def test_a_policy_is_asked_at_each_stage(in_folder, tmp_path):
+    logs, folder = in_folder
+    stored = kept(CensoredQLearner.for_table(3, reg=0.1), logs, tmp_path / "policy")
+    watched = watched_logs(logs, folder, 1, stored)
     for stage in watched.stages:
         assert stage.options
         assert all(option.low < option.high and 0 <= option.chance_best <= 1 for option in stage.options)
         assert stage.action in stage.reason
 
 
-def test_what_is_not_there_is_told(kept):
-    logs, folder = kept
+def test_what_is_not_there_is_told(in_folder):
+    logs, folder = in_folder
 
     def of_stages(stages):
         return Logs(stages, logs.trajectories, logs.objects)

@@ -39,7 +39,6 @@ MODULES = {
     "monitor": "act",
     "record": "serve",
     "study": "simulate",
-    "watch": "look",
 }
 """Modules of the verbs without a module of their own name."""
 SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True}

@@ -6,7 +6,7 @@ import sys
 import time
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
@@ -27,31 +27,20 @@ PICTURES = (".png", ".svg")
 UNKNOWN = "The uncertainty is unknown: the policy was learned without pessimism, so it holds no standard errors of Q."
 
 
-@click.command(epilog="Example: halfseen act policy table.pcd --history logs")
-@click.argument("policy", type=options.PATH)
-@click.argument("cloud", type=options.PATH)
-@options.path("--history", text="For a table: logs whose last trajectory is the current one.")
-@options.whole(
-    "--stage", least=1, most=options.MOST_STAGES, text="Stage to decide, from 1; by default that of the input, or 1."
-)
-@options.labels
-@options.law(None, f"For a table; by default {SHIPPED}. ")
-@options.path("--picture", text="Draw the decision into this .png or .svg file.")
-@options.overwrite("a picture that is")
-@options.extrapolate
-@options.as_json
+@options.command("halfseen act policy table.pcd --history logs")
 @options.unused_seed
 def act(
     policy: Path,
     cloud: Path,
-    history: Path | None,
-    stage: int | None,
-    labels: Path | None,
-    law: str | None,
-    picture: Path | None,
-    overwrite: bool,
-    extrapolate: bool,
-    as_json: bool,
+    *,
+    history: Path | None = None,
+    stage: Annotated[int | None, options.whole(1, options.MOST_STAGES)] = None,
+    labels: options.Labels = None,
+    law: Annotated[str | None, options.law("For a table; by default shipped. ")] = None,
+    picture: Path | None = None,
+    overwrite: bool = False,
+    extrapolate: options.Extrapolate = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Decide what to do now by the policy in the folder POLICY, and say why, and how certain that is.
 
@@ -65,6 +54,17 @@ def act(
 
     For policies that were learned with pessimism, each value, by which the policy decides, comes with a 95 % interval
     of Q and the probability that no action is better. States too far outside the logs are refused.
+
+    Parameters
+    ----------
+    history
+        For a table: logs whose last trajectory is the current one.
+    stage
+        Stage to decide, from 1; by default that of the input, or 1.
+    picture
+        Draw the decision into this .png or .svg file.
+    overwrite
+        Replace a picture that is already there.
     """
     from halfseen.policies import decider_of, read_policy
     from halfseen.policies.folder.stored import UNDECIDED, refuse_team, sources_in_words
@@ -121,13 +121,15 @@ def _lines(decision: "Decision", seen: str, other_things: str, stage: int, horiz
     return [*words, *aligned(rows), *([] if decision.intervals else [UNKNOWN])]
 
 
-@click.command(epilog="Example: halfseen export policy --onnx policy.onnx")
-@click.argument("policy", type=options.PATH)
-@options.path("--onnx", required=True, metavar="FILE", text="Write an ONNX model: an .onnx file.")
-@options.whole("--objects", least=1, most=100, text="Largest number of objects on a table; by default that of the log.")
-@options.overwrite("a file that is")
+@options.command("halfseen export policy --onnx policy.onnx")
 @options.unused_seed
-def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool) -> None:
+def export(
+    policy: Path,
+    *,
+    onnx: Annotated[Path, {"metavar": "FILE"}],
+    objects: Annotated[int | None, options.whole(1, 100)] = None,
+    overwrite: bool = False,
+) -> None:
     """Write the policy in the folder POLICY as an ONNX model. Needs the extra onnx.
 
     Of named actions, it takes covariates, (n, features) in double precision, and the stage, from 1; it gives scores,
@@ -138,6 +140,15 @@ def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool) -> No
 
     Names of actions and covariates are in its metadata, with the values that replace missing covariates, which it does
     not fill in. It refuses nothing: the controller must check for states far outside the logs.
+
+    Parameters
+    ----------
+    onnx
+        Write an ONNX model: an .onnx file.
+    objects
+        Largest number of objects on a table; by default that of the log.
+    overwrite
+        Replace a file that is already there.
     """
     from halfseen.policies import read_policy
     from halfseen.policies.onnx_model import onnx_model
@@ -151,33 +162,18 @@ def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool) -> No
 ALARM, NOT_JUDGED = 3, 2  # exit status
 
 
-@click.command(epilog="Example: halfseen monitor policy --logs next-logs --follow --page service.html")
-@click.argument("policy", type=options.PATH)
-@options.path("--logs", required=True, text="Folder of logs of the policy in service, such as serve --record writes.")
-@options.flag("--follow", text="Keep watching as the log grows, until there is an alarm.")
-@options.real(
-    "--every", min=0.1, max=86400.0, default=10.0, text="With --follow: seconds between two reads of the log."
-)
-@click.option(
-    "--since",
-    metavar="TRAJECTORY|DATE",
-    help="Start again at the trajectory with this name, or at a date, such as after a repair; it then counts as the "
-    "first.",
-)
-@options.path("--page", text="Write a page that shows the results over time.")
-@options.overwrite("a page that is")
-@options.as_json
-@options.seed("ties between equal values")
+@options.command("halfseen monitor policy --logs next-logs --follow --page service.html")
 def monitor(
     policy: Path,
+    *,
     logs: Path,
-    follow: bool,
-    every: float,
-    since: str | None,
-    page: Path | None,
-    overwrite: bool,
-    as_json: bool,
-    seed: int,
+    follow: bool = False,
+    every: Annotated[float, {"type": options.Real(0.1, 86400.0)}] = 10.0,
+    since: Annotated[str | None, {"metavar": "TRAJECTORY|DATE"}] = None,
+    page: Path | None = None,
+    overwrite: bool = False,
+    as_json: options.AsJson = False,
+    seed: options.Seed = 0,
 ) -> None:
     """Watch the policy in the folder POLICY by the logs of its service; exit status 3 on alarm.
 
@@ -186,6 +182,23 @@ def monitor(
     since when; and whether learning again may pay. It may be asked after every trajectory: in a whole lifetime
     without change, the chance of a false alarm is meant to be at most 5 %. Of a log that another policy made, it says
     so; exit status 2.
+
+    Parameters
+    ----------
+    logs
+        Folder of logs of the policy in service, such as serve --record writes.
+    follow
+        Keep watching as the log grows, until there is an alarm.
+    every
+        With --follow: seconds between two reads of the log.
+    since
+        Start again at the trajectory with this name, or at a date, such as after a repair; it then counts as the first.
+    page
+        Write a page that shows the results over time.
+    overwrite
+        Replace a page that is already there.
+    seed
+        Same seed, same ties between equal values.
     """
     from halfseen.logs import read_logs
     from halfseen.logs.joining import since as later

@@ -11,7 +11,7 @@ import warnings
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
@@ -24,7 +24,6 @@ from halfseen.progress import Progress
 if TYPE_CHECKING:
     from halfseen.cell.calibration.law import Law
     from halfseen.logs import Logs
-    from halfseen.workers import Workers
 
 GL = "MUJOCO_GL"
 COMMANDS = {
@@ -76,37 +75,38 @@ def start_opengl() -> None:
         ) from error
 
 
-@click.command(epilog="Example: halfseen cell calibrate --attempts 6000 --out law")
-@options.path("--out", required=True, text="Folder that the law is written to.")
-@options.whole("--attempts", least=50, most=options.MOST_EPISODES, default=6000, text="Attempts to begin.")
-@options.whole(
-    "--visible-only",
-    least=0,
-    most=options.MOST_EPISODES,
-    default=0,
-    text="Attempts to begin on the same tables with grasps planned from visible points alone, for comparison.",
-)
-@options.path("--from", "given", text="Fit the attempts in the folder of a law, or in logs, again; make no new ones.")
-@options.arm
-@options.workers
-@options.seed("law")
-@options.as_json
-@options.overwrite("a law that is")
+@options.command("halfseen cell calibrate --attempts 6000 --out law")
 def calibrate(
+    *,
     out: Path,
-    attempts: int,
-    visible_only: int,
-    given: Path | None,
+    attempts: Annotated[int, options.whole(50, options.MOST_EPISODES)] = 6000,
+    visible_only: Annotated[int, options.whole(0, options.MOST_EPISODES)] = 0,
+    given: Annotated[Path | None, {"flags": "--from"}] = None,
     arm: options.ArmOption,
-    workers: "Workers",
-    seed: int,
-    as_json: bool,
-    overwrite: bool,
+    workers: options.WorkersOption,
+    seed: options.Seed = 0,
+    as_json: options.AsJson = False,
+    overwrite: bool = False,
 ) -> None:
     """Lift random objects on fresh tables, and estimate the laws of the cell from these attempts.
 
     Tables are cut as in a real cell: by an attempt that takes too long, an emergency stop, or a lost camera. The folder
     holds the law and its attempts. The same command continues a run that was stopped.
+
+    Parameters
+    ----------
+    out
+        Folder that the law is written to.
+    attempts
+        Attempts to begin.
+    visible_only
+        Attempts to begin on the same tables with grasps planned from visible points alone, for comparison.
+    given
+        Fit the attempts in the folder of a law, or in logs, again; make no new ones.
+    seed
+        Same seed, same law.
+    overwrite
+        Replace a law that is already there.
     """
     load_mujoco()
     from halfseen.cell.calibration.attempts import HORIZON

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
@@ -20,58 +20,31 @@ from halfseen.writing import refuse_taken
 
 if TYPE_CHECKING:
     from halfseen.cell.episode import Follow
-    from halfseen.workers import Workers
     from halfseen.world import Policy
 
-policy_option = click.option(
-    "--policy",
-    "name",
-    required=True,
-    help=f"Policy: the folder of a policy of tables (for two arms, of a team), or {', '.join(NAMES)}.",
-)
+POLICIES = f"Policy: the folder of a policy of tables (for two arms, of a team), or {', '.join(NAMES)}."
+PolicyName = Annotated[str, {"flags": "--policy", "help": POLICIES}]
 DRAWING = 3  # work of drawing, in units of one decision and its action
 
 
-@click.command(epilog="Example: halfseen cell run --policy history-penalty --tables 50 --out logs")
-@policy_option
-@options.path("--out", required=True, text="Folder that the logs are written to.")
-@options.whole(
-    "--tables", "num_tables", least=2, most=options.MOST_EPISODES, default=50, text="Number of fresh tables."
-)
-@options.law(options.SHIPPED)
-@click.option("--stops/--no-stops", default=True, help="Whether tables may be cut.")
-@options.real(
-    "--random-share",
-    min=0.0,
-    max=1.0,
-    default=0.0,
-    text="Probability that a step takes an action uniformly at random instead, for logs to learn from.",
-)
-@options.flag("--watch", "is_watched", text="Show it in the browser as it runs, until Ctrl+C.")
-@options.port
-@options.path("--record", text="Folder for the last hundred stages, which `halfseen watch` shows.")
-@options.num_arms
-@options.arm
-@options.workers
-@options.seed("logs")
-@options.as_json
-@options.overwrite("logs that are")
+@options.command("halfseen cell run --policy history-penalty --tables 50 --out logs")
 def run(
-    name: str,
+    *,
+    name: PolicyName,
     out: Path,
-    num_tables: int,
-    law: str,
-    stops: bool,
-    random_share: float,
-    is_watched: bool,
-    port: int,
-    record: Path | None,
-    num_arms: int,
+    num_tables: Annotated[int, options.whole(2, options.MOST_EPISODES, flags="--tables")] = 50,
+    law: options.Law = options.SHIPPED,
+    stops: Annotated[bool, {"flags": "--stops/--no-stops"}] = True,
+    random_share: Annotated[float, {"type": options.Real(0.0, 1.0)}] = 0.0,
+    is_watched: Annotated[bool, {"flags": "--watch"}] = False,
+    port: options.Port = 8080,
+    record: Path | None = None,
+    num_arms: options.NumArms = 1,
     arm: options.ArmOption,
-    workers: "Workers",
-    seed: int,
-    as_json: bool,
-    overwrite: bool,
+    workers: options.WorkersOption,
+    seed: options.Seed = 0,
+    as_json: options.AsJson = False,
+    overwrite: bool = False,
 ) -> None:
     """Let a policy clear fresh tables in physics: look, decide, act, look again, until FINISH, ten steps or a cut.
 
@@ -79,6 +52,25 @@ def run(
     these tables under the law. The same command continues a run that was stopped. --watch and --record follow the
     tables in one process; tables that were finished before are not shown. Two arms follow the policy of a team, which
     decides for the one that is free; each arm has ten steps.
+
+    Parameters
+    ----------
+    out
+        Folder that the logs are written to.
+    num_tables
+        Number of fresh tables.
+    stops
+        Whether tables may be cut.
+    random_share
+        Probability that a step takes an action uniformly at random instead, for logs to learn from.
+    is_watched
+        Show it in the browser as it runs, until Ctrl+C.
+    record
+        Folder for the last hundred stages, which `halfseen watch` shows.
+    seed
+        Same seed, same logs.
+    overwrite
+        Replace logs that are already there.
     """
     load_mujoco()
     from halfseen.cell.campaign import Campaign, Conditions, logs_of, working_folder
@@ -191,21 +183,32 @@ def _following(
             page.wait()
 
 
-@click.command(epilog="Example: halfseen cell film --policy planner --out film.gif")
-@policy_option
-@options.path("--out", required=True, text="File that the film is written to (.gif).")
-@options.law(options.SHIPPED)
-@options.whole("--table", least=0, most=options.MOST_EPISODES, default=0, text="Number of the table.")
-@options.num_arms
-@options.arm
-@options.seed("film")
-@options.overwrite("a film that is")
+@options.command("halfseen cell film --policy planner --out film.gif")
 def film(
-    name: str, out: Path, law: str, table: int, num_arms: int, arm: options.ArmOption, seed: int, overwrite: bool
+    *,
+    name: PolicyName,
+    out: Path,
+    law: options.Law = options.SHIPPED,
+    table: Annotated[int, options.whole(0, options.MOST_EPISODES)] = 0,
+    num_arms: options.NumArms = 1,
+    arm: options.ArmOption,
+    seed: options.Seed = 0,
+    overwrite: bool = False,
 ) -> None:
     """Film how a policy clears a table in physics, eight times faster than real time, with its decisions.
 
     Seed and number give the same table as in `halfseen cell run`. Drawing needs OpenGL; nothing else of halfseen does.
+
+    Parameters
+    ----------
+    out
+        File that the film is written to (.gif).
+    table
+        Number of the table.
+    seed
+        Same seed, same film.
+    overwrite
+        Replace a film that is already there.
     """
     refuse_output(out, "a film", [".gif"], overwrite, [arm.file] if arm.file else [])
     start_opengl()

@@ -6,14 +6,14 @@ from contextlib import nullcontext
 from dataclasses import asdict
 from itertools import permutations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import click
 
 from halfseen.cli import options
-from halfseen.cli.inputs import give_mapping
+from halfseen.cli.inputs import check_kind, give_mapping
 from halfseen.cli.messages import answer, tell_warning
-from halfseen.cli.sources import MINARI, SQL, Reading, check_options, kind_of, read, tables_of_events
+from halfseen.cli.sources import KINDS_OF, MINARI, SQL, Reading, kind_of, read, tables_of_events
 from halfseen.errors import ArgumentError, noted
 from halfseen.progress import Progress
 from halfseen.writing import placed, refuse_taken
@@ -22,56 +22,43 @@ if TYPE_CHECKING:
     from halfseen.logs import Logs
 
 CSV = "csv:"
-STEPS = "For datasets of steps:"
 
 
-HELP = """Read the logs of SOURCE and write them to another form, all or nothing.
-
-\b
-FOLDER              logs, as Parquet or CSV; those of an older halfseen are brought up to date
-BAG                 ROS 1 or 2, or MCAP with ROS 2, JSON or protobuf (or a folder of bags)
-minari:NAME-v0      a Minari dataset, also by its folder
-FOLDER of LeRobot   a dataset of its version 2 or 3
-TABLE               steps as of RLDS: .parquet, .csv or .arrow (or a folder of them)
-TABLE of your own   by --mapping: .csv, .tsv, .txt, .jsonl (or .gz), .xlsx, .parquet (or a folder)
-FILE.hdf5           steps as of D4RL
-sql:URL             rows of a database, as SQLAlchemy reaches it
-
-Several folders of logs, such as those of many recorders, become one of Parquet files; trajectories that are still being
-recorded are left out.
-"""
-
-
-@click.command(help=HELP, epilog="Example: halfseen convert recording.mcap --mapping cell.toml --out logs")
-@click.argument("sources", metavar="SOURCE...", nargs=-1)
-@click.option("--out", "target", help="FOLDER of Parquet, csv:FOLDER, or minari:NAME-v0.")
-@options.flag("--check", "is_check", text="Only say what --out cannot hold; status 1 if anything is lost.")
-@options.path("--mapping", text="What holds what (TOML): for a bag, topics; for a table, columns; for sql, SELECTs.")
-@options.flag(
-    "--mapping-template",
-    "is_template",
-    text="Print a template of a mapping file, for a table from its columns, or write it to --out.",
-)
-@options.path("--clouds", text="For a bag: folder to write each stage's cloud to, as .pcd.")
-@options.flag("--see", text="For a bag: take as objects of each stage what its cloud shows.")
-@click.option("--stages", metavar="SELECT", help="For sql: the stages, with the columns of a log.")
-@click.option("--trajectories", metavar="SELECT", help="For sql: the trajectories.")
-@click.option("--objects", metavar="SELECT", help="For sql: the objects, if there are any.")
-@click.option("--action", metavar="NAME", help=f"{STEPS} the column that holds the action.")
-@click.option("--reward", metavar="NAME", help=f"{STEPS} the column that holds the reward.")
-@click.option("--done", metavar="NAME", help=f"{STEPS} the column that is true where an episode terminated.")
-@click.option("--clock", metavar="NAME", help=f"{STEPS} the column (Minari: the info) that holds the time [s].")
-@click.option("--step-s", type=float, help=f"{STEPS} how long a step lasts [s].")
-@options.word(
-    "--truncated", of=["cut", "finished"], text=f"{STEPS} how an episode ended that did not terminate; by default cut."
-)
+@options.command("halfseen convert recording.mcap --mapping cell.toml --out logs")
 @options.unused_seed
-@options.as_json
-@options.gathered("reading", Reading, *Reading._fields)
 def convert(
-    sources: tuple[str, ...], target: str | None, is_check: bool, is_template: bool, reading: Reading, as_json: bool
+    sources: Annotated[tuple[str, ...], {"metavar": "SOURCE..."}] = (),
+    *,
+    target: Annotated[str | None, {"flags": "--out"}] = None,
+    is_check: Annotated[bool, {"flags": "--check"}] = False,
+    is_template: Annotated[bool, {"flags": "--mapping-template"}] = False,
+    reading: Reading,
+    as_json: options.AsJson = False,
 ) -> None:
-    """Read the logs of SOURCE and write them to another form."""
+    """Read the logs of SOURCE and write them to another form, all or nothing.
+
+    \b
+    FOLDER              logs, as Parquet or CSV; those of an older halfseen are brought up to date
+    BAG                 ROS 1 or 2, or MCAP with ROS 2, JSON or protobuf (or a folder of bags)
+    minari:NAME-v0      a Minari dataset, also by its folder
+    FOLDER of LeRobot   a dataset of its version 2 or 3
+    TABLE               steps as of RLDS: .parquet, .csv or .arrow (or a folder of them)
+    TABLE of your own   by --mapping: .csv, .tsv, .txt, .jsonl (or .gz), .xlsx, .parquet (or a folder)
+    FILE.hdf5           steps as of D4RL
+    sql:URL             rows of a database, as SQLAlchemy reaches it
+
+    Several folders of logs, such as those of many recorders, become one of Parquet files; trajectories that are still
+    being recorded are left out.
+
+    Parameters
+    ----------
+    target
+        FOLDER of Parquet, csv:FOLDER, or minari:NAME-v0.
+    is_check
+        Only say what --out cannot hold; status 1 if anything is lost.
+    is_template
+        Print a template of a mapping file, for a table from its columns, or write it to --out.
+    """  # noqa: D301
     from halfseen.logs.missing import missing_in
 
     if is_template:
@@ -86,12 +73,12 @@ def convert(
                 f"--mapping is for one SOURCE, and {len(sources)} are given; put tables with the same columns, or "
                 "bags, into one folder, and give that"
             )
-        check_options("parquet", reading)
+        check_kind(reading, KINDS_OF, "parquet", "this is parquet")
         _compact(sources, target, is_check, as_json)
         return
     source = next(iter(sources))
     kind, clouds = kind_of(source, reading.mapping is not None), reading.clouds
-    check_options(kind, reading)
+    check_kind(reading, KINDS_OF, kind, f"this is {kind}")
     place = Path(target.removeprefix(CSV))
     if not target.startswith(MINARI):
         refuse_taken(place, False, None, "logs")

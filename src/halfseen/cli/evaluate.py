@@ -3,12 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import click
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from halfseen.cli import options
-from halfseen.cli.inputs import law_of, read_robots, scenes_of
+from halfseen.cli.inputs import law_of, looks_at, read_robots
 from halfseen.cli.messages import answer
 from halfseen.cli.options import ASSUMED
 from halfseen.errors import ArgumentError, PolicyError, noted
@@ -17,57 +15,50 @@ from halfseen.text_table import aligned
 
 if TYPE_CHECKING:
     from halfseen.policies.folder import StoredPolicy
-    from halfseen.workers import Workers
     from halfseen.world import Team
 
 WORK = {"start": 1, "evaluate": 4}  # relative time of each step, roughly
 
 
-@click.command(epilog="Example: halfseen evaluate policy --logs logs --against logging-rule --against rule.csv")
-@click.argument("policy", type=options.PATH)
-@click.argument("clouds", type=options.PATH, nargs=-1)
-@options.path("--logs", text="Folder of logs that another policy made.")
-@options.against
-@options.flag("--world", "in_world", text="Play the tables of CLOUDS in the simulated world instead.")
-@options.law(None, f"With --world; by default {ASSUMED}. ")
-@options.team("With --world: ")
-@options.policys_censoring
-@options.word("--censoring-by", of=options.CLOCKS, text="Clock of the cuts, as in learn; by default the policy's own.")
-@options.names("--censoring-covariates", "What cuts may depend on, as x1,action; by default the policy's own.")
-@click.option(
-    "--augmented/--simple",
-    default=None,
-    help="Doubly robust estimation for cuts, or weights alone; by default the former, if every action was logged.",
-)
-@options.propensity
-@options.missing
-@options.trust
-@options.policys_truncation
-@options.real("--level", min=0.0, max=1.0, min_open=True, max_open=True, default=0.95, text="Level of the intervals.")
-@options.whole(
-    "--episodes", least=2, most=options.MOST_EPISODES, default=10_000, text="With --world: number of episodes."
-)
-@options.workers
-@options.seed("numbers")
-@options.as_json
-@options.cuts
+class Cuts(NamedTuple):
+    """Options that account for cuts; None for the policy's own.
+
+    Parameters
+    ----------
+    censoring_by
+        Clock of the cuts, as in learn; by default the policy's own.
+    censoring_covariates
+        What cuts may depend on, as x1,action; by default the policy's own.
+    augmented
+        Doubly robust estimation for cuts, or weights alone; by default the former, if every action was logged.
+    """
+
+    censoring: options.PolicysCensoring = None
+    censoring_by: options.ByClock = None
+    censoring_covariates: options.Names = None
+    augmented: Annotated[bool | None, {"flags": "--augmented/--simple"}] = None
+    truncate_at: options.PolicysTruncation = None
+
+
+@options.command("halfseen evaluate policy --logs logs --against logging-rule --against rule.csv")
 def evaluate(
     policy: Path,
-    clouds: tuple[Path, ...],
-    logs: Path | None,
-    against: tuple[str, ...],
-    in_world: bool,
-    law: str | None,
-    team: Path | None,
-    cuts: options.Cuts,
-    propensity: str,
-    missing: dict[str, str] | None,
-    trust: tuple[str, ...],
-    level: float,
-    episodes: int,
-    workers: "Workers",
-    seed: int,
-    as_json: bool,
+    clouds: tuple[Path, ...] = (),
+    *,
+    logs: Path | None = None,
+    against: options.Against = (),
+    in_world: Annotated[bool, {"flags": "--world"}] = False,
+    law: Annotated[str | None, options.law("With --world; by default assumed. ")] = None,
+    team: Annotated[Path | None, options.team("With --world: ")] = None,
+    cuts: Cuts,
+    propensity: options.Propensity = "logged",
+    missing: options.Missing = None,
+    trust: options.Trust,
+    level: Annotated[float, {"type": options.Real(0.0, 1.0, min_open=True, max_open=True)}] = 0.95,
+    episodes: Annotated[int, options.whole(2, options.MOST_EPISODES)] = 10_000,
+    workers: options.WorkersOption,
+    seed: options.Seed = 0,
+    as_json: options.AsJson = False,
 ) -> None:
     """Estimate what the policy in the folder POLICY is worth before it runs.
 
@@ -76,6 +67,19 @@ def evaluate(
     exploration, or than each policy of --against: "better" means better than all. Workers share long work.
     With --world, by playing the tables of CLOUDS, by default the ten that come with halfseen, beside four heuristics. A
     policy of a team is evaluated only in this way, by the robots of --team.
+
+    Parameters
+    ----------
+    logs
+        Folder of logs that another policy made.
+    in_world
+        Play the tables of CLOUDS in the simulated world instead.
+    level
+        Level of the intervals.
+    episodes
+        With --world: number of episodes.
+    seed
+        Same seed, same numbers.
     """
     from halfseen.policies.folder import read_policy
     from halfseen.policies.folder.record import plain
@@ -84,10 +88,9 @@ def evaluate(
         raise ArgumentError("give either --logs with a folder of logs, or --world to play in the simulated world")
     if clouds and not in_world:
         raise ArgumentError(f"{clouds[0]}: clouds are tables to play with --world, but --logs is given; leave one out")
-    if law is not None and not in_world:
-        raise ArgumentError(f"--law is {law}, which is for --world, but --logs is given; leave --law out")
-    if team is not None and not in_world:
-        raise ArgumentError(f"--team is {team}, which is for --world, but --logs is given; leave --team out")
+    for name, given in {"--law": law, "--team": team}.items():
+        if given is not None and not in_world:
+            raise ArgumentError(f"{name} is {given}, which is for --world, but --logs is given; leave {name} out")
     if against and in_world:
         raise ArgumentError("--against is for --logs, and --world always compares with the heuristics; leave one out")
     stored = read_policy(policy)
@@ -103,7 +106,7 @@ def evaluate(
 
 
 def _by_logs(
-    stored: "StoredPolicy", folder: Path, missing: dict[str, str] | None, cuts: options.Cuts, settings: dict[str, Any]
+    stored: "StoredPolicy", folder: Path, missing: dict[str, str] | None, cuts: Cuts, settings: dict[str, Any]
 ) -> tuple[dict[str, Any], list[str]]:
     with Progress(sum(WORK.values()), "start") as bar, noted() as of_library:
         from halfseen.evaluation import evaluate as evaluated
@@ -169,7 +172,7 @@ def _by_world(
     num_robots = 1 if team is None else len(team.robots)
     with Progress(episodes * (1 + len(HEURISTICS)), "play", "episodes") as bar:
         law, config = law_of(name), WorldConfig(horizon=stored.horizon // num_robots)
-        scenes = scenes_of(clouds, law)
+        scenes = [look(law) for look in looks_at(clouds)]
         config = config if law is None else law.config(config)
         how: Any = {"episodes": episodes, "seed": seed, "level": level, "on_progress": bar.update}
         believed = config if team is None else team.config(config)

@@ -1,6 +1,6 @@
 """Objects that options name: laws, robots, arms, policies and tables; and checks of output files."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -166,36 +166,21 @@ def belief_of(name: str, arm_name: str) -> "Belief":
     return Belief(stored.law.config(), stored.law.grip)
 
 
-def num_scenes(clouds: Sequence[Path]) -> int:
-    """Number of scenes that `scenes_of` returns."""
+def looks_at(clouds: Sequence[Path]) -> "list[Callable[[Law | None], Scene]]":
+    """Functions that give the scene of each cloud, by default of the ten shipped ones.
+
+    With a law, what is seen predicts grips. They raise `CloudError` for a cloud that cannot be read or is empty.
+    """
+    if clouds:
+        return [partial(_scene_in, cloud) for cloud in clouds]
     from halfseen.cell.facts import tables_seen
 
-    return len(clouds) or len(tables_seen())
+    return [seen.scene for seen in tables_seen()]
 
 
-def scenes_of(
-    clouds: Sequence[Path], law: "Law | None" = None, on_each: Callable[[], object] = lambda: None
-) -> list["Scene"]:
-    """Scene of each cloud, by default of the ten shipped ones; with a law, what is seen predicts grips.
-
-    Raises
-    ------
-    CloudError
-        A cloud cannot be read, or shows no objects.
-    """
-    scenes = []
-    if not clouds:
-        from halfseen.cell.facts import tables_seen
-
-        for seen in tables_seen():
-            scenes.append(seen.scene(law))
-            on_each()
-        return scenes
-    for cloud in clouds:
-        _, view = perceived(cloud)
-        scenes.append(view.scene() if law is None else law.scene(view))
-        on_each()
-    return scenes
+def _scene_in(cloud: Path, law: "Law | None") -> "Scene":
+    _, view = perceived(cloud)
+    return view.scene() if law is None else law.scene(view)
 
 
 def perceived(file: Path) -> "tuple[Cloud, View]":
@@ -230,6 +215,21 @@ def give_mapping(text: str, file: Path | None) -> None:
     refuse_taken(file, False, None, "mapping")
     write_file(file, text)
     say(f"{file}: a mapping to start from; check it, then pass it as --mapping")
+
+
+def check_kind(given: object, kinds_of: Mapping[str, Sequence[str]], kind: str, this: str) -> None:
+    """Refuse options that a source of this kind does not take.
+
+    Raises
+    ------
+    ArgumentError
+        Such an option is given.
+    """
+    for name, kinds in kinds_of.items():
+        value = getattr(given, name)
+        if value is not None and value is not False and kind not in kinds:
+            named = " or ".join(filter(None, [", ".join(kinds[:-1]), kinds[-1]]))
+            raise ArgumentError(f"--{name.replace('_', '-')} is for a source of kind {named}; {this}: leave it out")
 
 
 def refuse_output(file: Path, what: str, endings: Sequence[str], overwrite: bool, inputs: Iterable[Path] = ()) -> None:

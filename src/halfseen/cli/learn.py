@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import click
 
@@ -21,149 +21,101 @@ if TYPE_CHECKING:
     from halfseen.learning.q_learner import CensoredQLearner
     from halfseen.learning.targets import Targets
     from halfseen.logs import Logs, LogStream
-    from halfseen.workers import Workers
 
-CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
 NOTHING_TO_TRY = "this needs named actions and covariates, and states where the policy seldom does what LOGS do"
 WAYS = ("to learn only from what still holds: {}", "or, if that is little: the same command with --recency auto")
 """Remedies for a log in which the cell has changed."""
-LEARNING = ("covariates", "q_function", "stages", "horizon", "grasp", "has_laws", "reg", "pessimism", "half_life")
-"""Options of the form of Q, as in `learner_for`."""
 START, LEARN, FOLDS, JUDGE, LOOK = 1, 2, 6, 4, 1  # relative time of each step, roughly
 
 
-@click.command(epilog="Example: halfseen learn logs --out policy --censoring cox --seed 1")
-@click.argument("logs", type=options.PLACE)
-@options.path("--out", required=True, text="Folder that the policy is written to.")
-@options.names(
-    "--covariates", "Columns of the stages to use, as x1,x2; by default numbers, and text with few categories."
-)
-@options.word(
-    "--q-function",
-    of=["auto", "linear", "quadratic", "kernel", "smooth", "tabular"],
-    default="auto",
-    text="Form of Q.",
-)
-@options.word(
-    "--censoring",
-    of=CENSORING,
-    default="auto",
-    text="Correction for cuts: weights from a censoring model, or imputation.",
-)
-@options.word(
-    "--censoring-by",
-    of=options.CLOCKS,
-    default="trajectory",
-    text="Clock of the cuts: that of the trajectory (total time), of each stage, or of all stages alike (gap time).",
-)
-@options.names("--censoring-covariates", "What cuts may depend on, as x1,action; by default all that the model takes.")
-@options.flag("--augmented", text="Doubly robust: correct if the censoring model or the regression is.")
-@options.word(
-    "--stages",
-    of=["auto", "separate", "pooled"],
-    default="auto",
-    text="One Q for each stage, or one for all stages by steps to go.",
-)
-@options.whole(
-    "--horizon",
-    least=1,
-    most=options.MOST_STAGES,
-    text="Stages after which a trajectory ends by itself; by default those of the longest trajectory, for a table at "
-    "least 10. For a team, decisions of each robot; by default as in the log.",
-)
-@options.word(
-    "--grasp",
-    of=["auto", "laplace", "beta"],
-    text="For a table: model of the probability of a grasp, the rule of succession (laplace) or a Beta regression; by "
-    "default chosen from the log.",
-)
-@click.option(
-    "--laws/--no-laws",
-    "has_laws",
-    default=True,
-    help="For a table: whether learning uses laws of seeing and grasping fitted to LOGS; without them, eq. 3 alone.",
-)
-@click.option(
-    "--prior-law",
-    metavar="FOLDER",
-    help="For a table: prior for the laws fitted to LOGS, if these hold few attempts; a folder of `halfseen cell "
-    "calibrate`, shipped or assumed; by default none.",
-)
-@click.option(
-    "--reg", type=options.Or("cv"), default="cv", help="λ, or cv to choose it by cross-validation over trajectories."
-)
-@click.option(
-    "--pessimism",
-    type=options.Or("auto"),
-    default="auto",
-    help="Standard errors by which Q is lowered in choosing the best action; 0 for eq. 3 unchanged.",
-)
-@click.option(
-    "--recency",
-    "half_life",
-    type=options.Or("auto", "none"),
-    callback=lambda _, __, given: None if given == "none" else given,
-    default="none",
-    help="Trajectories over which weights halve, from the last of LOGS to the first; auto to choose it by how well "
-    "the latest fifth is predicted, none for equal weights. For a table, only for eq. 3 without laws.",
-)
-@click.option(
-    "--since",
-    metavar="TRAJECTORY|DATE",
-    help="Learn only from this trajectory on, or, if the log has dates, from this day on.",
-)
-@click.option("--truncate-at", type=float, help="Largest weight allowed; by default none is truncated.")
-@click.option(
-    "--streaming/--in-memory",
-    "streaming",
-    default=None,
-    help="Whether LOGS are read part by part, once for each stage and a few times more, and never held in memory as a "
-    "whole; by default if a Parquet folder has more than 500,000 stages. The result is the same.",
-)
-@click.option(
-    "--verdict/--no-verdict",
-    "has_verdict",
-    default=True,
-    help="Test policies learned from four fifths of LOGS on the rest, against the logging policy; takes six times "
-    "longer.",
-)
-@options.word(
-    "--trust",
-    "trusted",
-    of=["vouched", "best"],
-    default="vouched",
-    text="Which policy is written: the one with the largest gain that LOGS can vouch for, or the best guess.",
-)
-@options.missing
-@options.path(
-    "--exploration",
-    metavar="FILE",
-    text="Write which actions to try more often, and where, for `halfseen serve --explore FILE`, as CSV.",
-)
-@options.trust
-@options.workers
-@options.seed("policy")
-@options.overwrite("a policy that is")
-@options.as_json
-@options.cuts
-@options.gathered("learning", lambda *given: dict(zip(LEARNING, given, strict=True)), *LEARNING)
+def _none_as_null(_: click.Context, __: click.Parameter, given: Any) -> Any:
+    return None if given == "none" else given
+
+
+class Learning(NamedTuple):
+    """Options of the form of Q, as in `learner_for`.
+
+    Parameters
+    ----------
+    covariates
+        Columns of the stages to use, as x1,x2; by default numbers, and text with few categories.
+    q_function
+        Form of Q.
+    stages
+        One Q for each stage, or one for all stages by steps to go.
+    horizon
+        Stages after which a trajectory ends by itself; by default those of the longest trajectory, for a table at least
+        10. For a team, decisions of each robot; by default as in the log.
+    grasp
+        For a table: model of the probability of a grasp, the rule of succession (laplace) or a Beta regression; by
+        default chosen from the log.
+    has_laws
+        For a table: whether learning uses laws of seeing and grasping fitted to LOGS; without them, eq. 3 alone.
+    reg
+        λ, or cv to choose it by cross-validation over trajectories.
+    pessimism
+        Standard errors by which Q is lowered in choosing the best action; 0 for eq. 3 unchanged.
+    half_life
+        Trajectories over which weights halve, from the last of LOGS to the first; auto to choose it by how well the
+        latest fifth is predicted, none for equal weights. For a table, only for eq. 3 without laws.
+    """
+
+    covariates: options.Names = None
+    q_function: Annotated[str, options.word("auto", "linear", "quadratic", "kernel", "smooth", "tabular")] = "auto"
+    stages: Annotated[str, options.word("auto", "separate", "pooled")] = "auto"
+    horizon: Annotated[int | None, options.whole(1, options.MOST_STAGES)] = None
+    grasp: Annotated[str | None, options.word("auto", "laplace", "beta")] = None
+    has_laws: Annotated[bool, {"flags": "--laws/--no-laws"}] = True
+    reg: Annotated[str | float, {"type": options.Or("cv")}] = "cv"
+    pessimism: Annotated[str | float, {"type": options.Or("auto")}] = "auto"
+    half_life: Annotated[
+        str | float | None, {"flags": "--recency", "type": options.Or("auto", "none"), "callback": _none_as_null}
+    ] = "none"
+
+
+class Cuts(NamedTuple):
+    """Options that account for cuts.
+
+    Parameters
+    ----------
+    censoring
+        Correction for cuts: weights from a censoring model, or imputation.
+    censoring_by
+        Clock of the cuts: that of the trajectory (total time), of each stage, or of all stages alike (gap time).
+    censoring_covariates
+        What cuts may depend on, as x1,action; by default all that the model takes.
+    augmented
+        Doubly robust: correct if the censoring model or the regression is.
+    truncate_at
+        Largest weight allowed; by default none is truncated.
+    """
+
+    censoring: Annotated[str, options.word("auto", *options.WEIGHTING, "buckley-james", "none")] = "auto"
+    censoring_by: options.ByClock = "trajectory"
+    censoring_covariates: options.Names = None
+    augmented: bool = False
+    truncate_at: float | None = None
+
+
+@options.command("halfseen learn logs --out policy --censoring cox --seed 1")
 def learn(
-    logs: str | Path,
+    logs: Annotated[str | Path, {"type": options.Place(path_type=Path)}],
+    *,
     out: Path,
-    learning: dict[str, Any],
-    cuts: options.Cuts,
-    prior_law: str | None,
-    since: str | None,
-    streaming: bool | None,
-    missing: dict[str, str] | None,
-    has_verdict: bool,
-    trusted: str,
-    exploration: Path | None,
-    trust: tuple[str, ...],
-    workers: "Workers",
-    seed: int,
-    overwrite: bool,
-    as_json: bool,
+    learning: Learning,
+    cuts: Cuts,
+    prior_law: Annotated[str | None, {"metavar": "FOLDER"}] = None,
+    since: Annotated[str | None, {"metavar": "TRAJECTORY|DATE"}] = None,
+    streaming: Annotated[bool | None, {"flags": "--streaming/--in-memory"}] = None,
+    has_verdict: Annotated[bool, {"flags": "--verdict/--no-verdict"}] = True,
+    trusted: Annotated[str, options.word("vouched", "best", flags="--trust")] = "vouched",
+    missing: options.Missing = None,
+    exploration: Annotated[Path | None, {"metavar": "FILE"}] = None,
+    trust: options.Trust,
+    workers: options.WorkersOption,
+    seed: options.Seed = 0,
+    overwrite: bool = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Learn a policy from the folder LOGS, and write it to a folder of its own, all or nothing.
 
@@ -183,6 +135,29 @@ def learn(
     more caution, taking the actions of LOGS more often. The caution with the largest gain that LOGS can vouch for is
     used for the policy that is written. The verdict is stored with it, and `halfseen act` repeats it if there is no
     evidence for the policy. Workers share long work.
+
+    Parameters
+    ----------
+    out
+        Folder that the policy is written to.
+    prior_law
+        For a table: prior for the laws fitted to LOGS, if these hold few attempts; a folder of `halfseen cell
+        calibrate`, shipped or assumed; by default none.
+    since
+        Learn only from this trajectory on, or, if the log has dates, from this day on.
+    streaming
+        Whether LOGS are read part by part, once for each stage and a few times more, and never held in memory as a
+        whole; by default if a Parquet folder has more than 500,000 stages. The result is the same.
+    has_verdict
+        Test policies learned from four fifths of LOGS on the rest, against the logging policy; takes six times longer.
+    trusted
+        Which policy is written: the one with the largest gain that LOGS can vouch for, or the best guess.
+    exploration
+        Write which actions to try more often, and where, for `halfseen serve --explore FILE`, as CSV.
+    seed
+        Same seed, same policy.
+    overwrite
+        Replace a policy that is already there.
     """
     from halfseen.policies.folder.files import check_target
 
@@ -200,7 +175,7 @@ def learn(
         from halfseen.policies.shares import action_shares
 
         targets, log, prior = _targets(cuts), _opened(logs, streaming, missing, since), _prior_law(prior_law)
-        choice = learner_for(log, censoring=targets, random_state=seed, prior_law=prior, **learning)
+        choice = learner_for(log, censoring=targets, random_state=seed, prior_law=prior, **learning._asdict())
         bar.begin("learn", START)
         learner = choice.learner.fit(log, workers)
         bar.begin("judge" if has_verdict else "look", LEARN)
@@ -292,16 +267,15 @@ def _prior_law(name: str | None) -> Any:
     return WorldConfig() if (law := law_of(name)) is None else law.config()
 
 
-def _targets(cuts: options.Cuts) -> "Targets | str":
+def _targets(cuts: Cuts) -> "Targets | str":
     """Targets that account for cuts; auto without options."""
     from halfseen.learning.targets import named_targets
 
-    usual: Any = {"by": "trajectory", "covariates": None, "truncate_at": None, "is_doubly_robust": False}
-    given: Any = {"by": cuts.censoring_by, "covariates": cuts.censoring_covariates, "truncate_at": cuts.truncate_at}
-    given["is_doubly_robust"], model = cuts.augmented, cuts.censoring or "auto"
-    if model != "auto":
-        return named_targets(model, **given)
-    return "auto" if given == usual else named_targets(**given)  # options of weights select weighting
+    if cuts == Cuts():
+        return "auto"
+    models = [] if cuts.censoring == "auto" else [cuts.censoring]  # options of weights select weighting
+    how: Any = {"by": cuts.censoring_by, "covariates": cuts.censoring_covariates, "truncate_at": cuts.truncate_at}
+    return named_targets(*models, **how, is_doubly_robust=cuts.augmented)
 
 
 def _lines(report: Mapping[str, Any], judged: "HeldOutVerdict | None") -> list[str]:

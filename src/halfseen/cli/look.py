@@ -1,30 +1,21 @@
-"""``halfseen look``: what a depth camera sees on a table, who hides whom, and what looks dirty.
-
-``halfseen watch``: a page in the browser that shows a run in 3-D, and why.
-"""
+"""``halfseen look``: what a depth camera sees on a table, who hides whom, and what looks dirty."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
 from halfseen.cli import options
-from halfseen.cli.inputs import law_of, perceived, refuse_output
+from halfseen.cli.inputs import perceived, refuse_output
 from halfseen.cli.messages import say, tell_error
-from halfseen.cli.options import SHIPPED
-from halfseen.errors import ArgumentError, CloudError, PolicyError
+from halfseen.errors import ArgumentError, CloudError
 from halfseen.progress import Progress
 from halfseen.text_table import aligned
 
 if TYPE_CHECKING:
-    from halfseen.perception import Cloud, View
+    from halfseen.perception import View
     from halfseen.tables.first_look import FirstLook
-    from halfseen.view import Watched
     from halfseen.workers import Workers
 
 
@@ -32,21 +23,16 @@ HEAD = ["cloud", "objects", "upright", "lying", "cut", "half hidden", "most hidd
 ENDINGS = (".pcd", ".ply", ".npz")  # of cloud files in a folder
 
 
-@click.command(epilog="Example: halfseen look table.pcd --picture table.png")
-@click.argument("clouds", nargs=-1, required=True, type=options.PATH)
-@options.flag("--json", "is_json", text="Print JSON, for programs.")
-@options.path("--picture", text="Draw what is seen into this PNG file; for one cloud only.")
-@options.overwrite("a picture that is")
-@options.labels
-@options.workers
+@options.command("halfseen look table.pcd --picture table.png")
 @options.unused_seed
 def look(
     clouds: tuple[Path, ...],
-    is_json: bool,
-    picture: Path | None,
-    overwrite: bool,
-    labels: Path | None,
-    workers: "Workers",
+    *,
+    is_json: options.Json = False,
+    picture: Path | None = None,
+    overwrite: bool = False,
+    labels: options.Labels = None,
+    workers: options.WorkersOption,
 ) -> None:
     """Say what stands on the table of a cloud, who hides whom, and, if it has colour, what looks dirty.
 
@@ -54,6 +40,15 @@ def look(
     green and blue if it has colour; or an .npz file with a depth image depth_m [m], a pinhole matrix K [px] and
     optionally a picture rgb. For several clouds, or a folder, there is one line for each; clouds that cannot be read,
     or show no object, are named below, and the exit status is 2.
+
+    Parameters
+    ----------
+    is_json
+        Print JSON, for programs.
+    picture
+        Draw what is seen into this PNG file; for one cloud only.
+    overwrite
+        Replace a picture that is already there.
     """
     if len(clouds) == 1 and not clouds[0].is_dir():
         if picture is not None:
@@ -123,7 +118,7 @@ def _look_at_many(clouds: Sequence[Path], workers: "Workers", is_json: bool) -> 
     """Look at clouds and print the results in order; then report those that failed."""
     with Progress(len(clouds), "look", "clouds") as bar, workers.ready_if_worth() as pool:
         found = []
-        for of_cloud in pool.in_order(partial(_seen_in, _named_facts if is_json else _row), clouds):
+        for of_cloud in pool.in_order(partial(_seen_in, is_json), clouds):
             found.append(of_cloud)
             bar.update()
     seen = [each for each in found if not isinstance(each, CloudError)]
@@ -138,21 +133,18 @@ def _look_at_many(clouds: Sequence[Path], workers: "Workers", is_json: bool) -> 
         raise refused[-1]
 
 
-def _seen_in(look: "Callable[[Cloud, View, Path], Any]", cloud: Path) -> Any:
+def _seen_in(is_json: bool, cloud: Path) -> Any:
     """Look at a cloud; an error is returned, so that the other clouds are still processed."""
-    try:
-        return look(*perceived(cloud), cloud)
-    except CloudError as error:
-        return error
-
-
-def _named_facts(seen: "Cloud", view: "View", cloud: Path) -> dict[str, Any]:
     from halfseen.tables.first_look import first_look
 
-    return {"cloud": str(cloud), **_facts(view, first_look(view, seen))}
+    try:
+        seen, view = perceived(cloud)
+    except CloudError as error:
+        return error
+    return {"cloud": str(cloud), **_facts(view, first_look(view, seen))} if is_json else _row(cloud, view)
 
 
-def _row(_: "Cloud", view: "View", cloud: Path) -> list[str]:
+def _row(cloud: Path, view: "View") -> list[str]:
     hidden = [each.occlusion for each in view.objects]
     num_upright = sum(each.is_upright for each in view.objects)
     counts = [len(hidden), num_upright, len(hidden) - num_upright, view.num_cut, sum(each >= 0.5 for each in hidden)]
@@ -184,160 +176,3 @@ def _facts(view: "View", found: "FirstLook") -> dict[str, Any]:
         ],
         "hides": view.hides.tolist(),
     }
-
-
-FORMS = (".html", ".gif")
-OF_KINDS = {
-    "policy": ("cloud", "logs"),
-    "history": ("cloud",),
-    "labels": ("cloud",),
-    "law": ("cloud",),
-    "clouds": ("logs",),
-    "trajectory": ("logs",),
-}
-"""Kinds of sources that each option applies to."""
-
-
-def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int, int] | None:
-    """Parse ``2-5`` or ``2``."""
-    if given is None:
-        return None
-    first, *last = given.split("-", 1)
-    last = last[0] if last else first
-    if not (first.isdigit() and last.isdigit() and 1 <= int(first) <= int(last)):
-        raise click.BadParameter(f"{given!r} is not a span of stages; give one such as 2-5")
-    return int(first), int(last)
-
-
-@click.command(epilog="Example: halfseen watch table.pcd --policy policy")
-@click.argument("source", type=options.PATH)
-@options.path("--policy", text="For a cloud or logs: the folder of a policy of tables.")
-@options.path("--history", text="For a cloud: logs whose last trajectory is the current one.")
-@options.labels
-@options.law(None, f"For a cloud; by default {SHIPPED}. ")
-@options.path("--clouds", text="For logs: folder with the cloud of each stage.")
-@options.whole(
-    "--trajectory",
-    least=1,
-    most=options.MOST_EPISODES,
-    text="For logs: the trajectory, from 1; by default the first.",
-)
-@click.option("--stages", callback=_span, metavar="FIRST-LAST", help="Show only these stages, counted from 1.")
-@options.path(
-    "--export",
-    multiple=True,
-    text="Write it to a file instead: .html, which opens without a server, or .gif; may be given more than once.",
-)
-@options.overwrite("a file of --export that is")
-@options.port
-@options.unused_seed
-def watch(
-    source: Path, export: tuple[Path, ...], stages: tuple[int, int] | None, overwrite: bool, port: int, **given: Any
-) -> None:
-    """Show in the browser what was seen and decided, in 3-D, and why. Nothing leaves this machine.
-
-    SOURCE is a point cloud as `halfseen look` takes it, with --policy for what is decided there; a recording, as
-    `halfseen cell run --record` writes it; or a folder of logs with --clouds, as `halfseen convert` writes them.
-    """
-    from halfseen.view.recording import MARKER, read_recording
-
-    for file in export:
-        refuse_output(file, "an exported run", FORMS, overwrite, [source])
-    if not source.exists():
-        raise ArgumentError(f"{source}: no such file or folder; give a cloud, a recording or a folder of logs")
-    kind = "recording" if (source / MARKER).is_file() else "logs" if source.is_dir() else "cloud"
-    for name, kinds in OF_KINDS.items():
-        if given[name] is not None and kind not in kinds:
-            raise ArgumentError(
-                f"--{name} is for a source of kind {' or '.join(kinds)}; {source} is of kind {kind}: leave it out"
-            )
-
-    if kind == "recording":
-        runs = iter([read_recording(source)])
-    elif kind == "logs":
-        runs = _of_logs(source, given["clouds"], given["trajectory"], given["policy"])
-    else:
-        runs = _of_cloud(source, given["policy"], given["history"], given["labels"], given["law"])
-    shown = (_of_stages(stages, watched) for watched in runs)
-    if export:
-        _export(export, list(shown)[-1])
-    else:
-        _serve(port, shown)
-
-
-def _of_stages(span: tuple[int, int] | None, watched: "Watched") -> "Watched":
-    """The run restricted to a span of stages."""
-    first, last = span or (1, len(watched.stages))
-    if last > len(watched.stages):
-        raise ArgumentError(f"--stages is {first}-{last}, but the last stage is {len(watched.stages)}; leave it out")
-    return replace(watched, stages=watched.stages[first - 1 : last])
-
-
-def _serve(port: int, shown: "Iterable[Watched]") -> None:
-    from halfseen.view.viewer import Page
-
-    with closing(Page(port)) as page:
-        for number, watched in enumerate(shown):
-            page.show(watched)
-            if number == 0:
-                say(f"{page.url}  (Ctrl+C ends)")
-        page.wait()
-
-
-def _export(files: tuple[Path, ...], watched: "Watched") -> None:
-    for file in files:
-        if file.suffix.lower() == ".gif":
-            from halfseen.view.recording import write_gif
-
-            write_gif(watched, file)
-        else:
-            from halfseen.view.viewer import write_html
-
-            write_html(watched, file)
-        say(f"{file}: {len(watched.stages)} stage{'' if len(watched.stages) == 1 else 's'}")
-
-
-def _of_cloud(
-    file: Path, policy: Path | None, history: Path | None, labels: Path | None, law: str | None
-) -> "Iterator[Watched]":
-    """First the view, unless there is a history; then the decision."""
-    from halfseen.tables.first_look import first_look
-    from halfseen.view.stages import watched_cloud
-
-    for option, value in (("--history", history), ("--law", law)):
-        if policy is None and value is not None:
-            raise ArgumentError(f"{option} needs a policy to decide; give a --policy, or leave {option} out")
-    cloud, view = perceived(file)
-    if policy is None:
-        yield watched_cloud(cloud, view, None, None, 0, first_look(view, cloud, labels))
-        return
-    from halfseen.policies import decider_of, read_policy
-    from halfseen.policies.folder.stored import UNDECIDED, refuse_team
-    from halfseen.policies.table_observation import past_in, see_table
-
-    stored = read_policy(policy)
-    refuse_team(stored, UNDECIDED, policy)
-    if not stored.is_table:
-        raise PolicyError(f"{policy}: not a policy of tables, but {file} is a cloud; learn one from logs of tables")
-    schema = stored.record["schema"]
-    known = law_of(law or SHIPPED) if stored.counts_views else None
-    if history is None:
-        dirt = first_look(view, cloud, labels, schema["dirty_share"], *([known.seeing] if known else []))
-        yield watched_cloud(cloud, view, None, None, 0, dirt)
-    now = see_table(stored, file, past_in(history), None, labels, known).present
-    yield watched_cloud(cloud, view, now, decider_of(stored, extrapolates=True).decide(now), stored.horizon)
-
-
-def _of_logs(folder: Path, clouds: Path | None, number: int | None, policy: Path | None) -> "Iterator[Watched]":
-    from halfseen.logs import read_logs
-    from halfseen.policies import read_policy
-    from halfseen.view.stages import watched_logs
-
-    logs = read_logs(folder)
-    if clouds is None:
-        raise ArgumentError(
-            f"{folder}: logs hold no clouds; give a folder with the cloud of each stage by --clouds, or record a run "
-            "with `halfseen cell run --record`"
-        )
-    stored = None if policy is None else read_policy(policy)
-    yield watched_logs(logs, clouds, number or 1, stored)

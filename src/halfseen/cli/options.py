@@ -1,39 +1,112 @@
-"""Options that several commands share."""
+"""Commands by their signatures and docstrings, and options that several commands share.
 
-from collections.abc import Callable
+Parameters of a command are its arguments; those that are passed by keyword alone are its options. Types, defaults and
+the settings in `Annotated` say what they take, and the docstring what they are for. A record of options is one
+parameter.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Mapping
 from functools import wraps
+from inspect import Parameter, cleandoc, signature
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_origin
 
 import click
 
 from halfseen.errors import did_you_mean
 from halfseen.workers import ENGINES
 
+if TYPE_CHECKING:
+    from halfseen.workers import Workers
+
 PATH = click.Path(path_type=Path)
 ASSUMED, SHIPPED = "assumed", "shipped"
 WEIGHTING = ("kaplan-meier", "cox", "kernel")  # censoring models that weight completed stages by 1/Ĝ
-TRUST = {
-    "probabilities": "are true, although no policy seems to have had them",
-    "covariates": "were known before the action, although they seem to depend on it or its outcome",
-    "endings": "are true ends, although they look like cuts",
-}
-"""Properties of a log that the user may vouch for against appearances; otherwise no verdict relies on them."""
 MOST_EPISODES, MOST_STAGES = 10_000_000, 1000
 """Upper limits of episodes in a command and of stages in a trajectory; for more, call the library in parts."""
 MOST_WORKERS = 1024  # processes; each takes a few hundred MB
 MOST_REPLICATES = 100_000  # each learns again; a thousand estimate a band to a few percent
 MOST_SEED = 2**32 - 1  # generators do not distinguish larger seeds
 
+Command = Callable[..., None]
+Settings = dict[str, Any]
+"""Settings of an option or an argument, as click takes them; `flags` are those that do not follow from its name."""
+KINDS: dict[Any, Settings] = {Path: {"type": PATH}, bool: {"is_flag": True}, float: {"type": click.FLOAT}}
 
-class _Place(click.Path):
+
+class Gathered(NamedTuple):
+    """Several options as one parameter, which is made of their record; a record itself needs none of this."""
+
+    record: Any
+    make: Callable[[Any], Any] = lambda record: record
+
+
+def command(example: str) -> Callable[[Command], click.Command]:
+    """Make a command of a function."""
+
+    def made(function: Command) -> click.Command:
+        parameters, (about, texts) = signature(function).parameters, _described(function)
+        declared = _declared(function, parameters.values(), texts)
+        return click.command(help=about, epilog=f"Example: {example}")(declared)
+
+    return made
+
+
+def _described(documented: Any) -> tuple[str, dict[str, str]]:
+    """What a docstring says of the whole, and of each parameter."""
+    about, _, listed = cleandoc(documented.__doc__ or "").partition("\n\nParameters\n----------\n")
+    _, *parts = re.split(r"^(\w+)\n", listed, flags=re.MULTILINE)
+    return about, {name: " ".join(text.split()) for name, text in zip(parts[::2], parts[1::2], strict=True)}
+
+
+def _declared(function: Command, parameters: Iterable[Parameter], texts: Mapping[str, str]) -> Command:
+    """Declare the parameters of a function to click, the last one first."""
+    for parameter in reversed(list(parameters)):
+        hint, settings = parameter.annotation, {}
+        if get_origin(hint) is Annotated:
+            hint, settings = get_args(hint)
+        several = Gathered(hint) if hasattr(hint, "_fields") else settings
+        if isinstance(several, Gathered):
+            function = _gathered(function, parameter.name, several)
+        else:
+            function = _param(parameter, hint, settings, texts)(function)
+    return function
+
+
+def _gathered(function: Command, name: str, several: Gathered) -> Command:
+    """Declare the fields of a record to click."""
+    fields = signature(several.record).parameters
+
+    @wraps(function)
+    def with_one(**chosen: Any) -> None:
+        record = several.record(**{field: chosen.pop(field) for field in fields})
+        function(**{name: several.make(record)}, **chosen)
+
+    options = (field.replace(kind=Parameter.KEYWORD_ONLY) for field in fields.values())
+    return _declared(with_one, options, _described(several.record)[1])
+
+
+def _param(parameter: Parameter, hint: Any, settings: Settings, texts: Mapping[str, str]) -> Callable[..., Any]:
+    """Declare a parameter, by its type and default where no settings say otherwise."""
+    name, is_several = parameter.name, get_origin(hint) is tuple
+    usual = Settings() | next((KINDS[kind] for kind in (hint, *get_args(hint)) if kind in KINDS), {})
+    usual |= {"required": parameter.default is Parameter.empty}
+    if parameter.kind is not Parameter.KEYWORD_ONLY:
+        declared: Settings = usual | {"nargs": -1 if is_several else 1} | settings
+        return click.argument(name, **declared)
+    usual |= {"help": texts.get(name), "multiple": is_several, "flags": f"--{name.replace('_', '-')}"}
+    usual |= {} if usual["required"] or is_several else {"default": parameter.default}
+    declared = usual | settings
+    return click.option(declared.pop("flags"), name, **declared)
+
+
+class Place(click.Path):
     """A path, or the URL of a folder in an object store."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Accept a URL as it is."""
         return value if "://" in str(value) else super().convert(value, param, ctx)
-
-
-PLACE = _Place(path_type=Path)
 
 
 class WordChoice(click.Choice):
@@ -59,32 +132,6 @@ class Or(click.ParamType):
         return value if value in self.words else click.FLOAT.convert(value, param, ctx)
 
 
-def several(*options: Any) -> Any:
-    """Combine options into one decorator."""
-
-    def give(command: Callable[..., None]) -> Callable[..., None]:
-        for option in reversed(options):
-            command = option(command)
-        return command
-
-    return give
-
-
-def path(*names: str, text: str | None = None, **more: Any) -> Any:
-    """An option that is a path."""
-    return click.option(*names, type=PATH, help=text, **more)
-
-
-def flag(*names: str, text: str) -> Any:
-    """A flag."""
-    return click.option(*names, is_flag=True, help=text)
-
-
-def whole(*names: str, least: int, most: int, text: str, default: int | None = None) -> Any:
-    """An option that is an integer."""
-    return click.option(*names, type=click.IntRange(least, most), default=default, help=text)
-
-
 class Real(click.FloatRange):
     """A number within bounds; NaN, which no comparison refuses, is outside any."""
 
@@ -107,70 +154,34 @@ class ShareOrTable(click.ParamType):
         return share.convert(value, param, ctx)
 
 
-def real(*names: str, text: str, default: float | None = None, **bounds: Any) -> Any:
-    """An option that is a number within the bounds of `click.FloatRange`."""
-    return click.option(*names, type=Real(**bounds), default=default, help=text)
+def whole(least: int, most: int, **settings: Any) -> Settings:
+    """Settings of an integer within bounds."""
+    return {"type": click.IntRange(least, most), **settings}
 
 
-def word(*names: str, of: Any, text: str, default: str | None = None) -> Any:
-    """An option that is one of some words."""
-    return click.option(*names, type=WordChoice(of), default=default, help=text)
+def word(*words: str, **settings: Any) -> Settings:
+    """Settings of one of some words."""
+    return {"type": WordChoice(words), **settings}
 
 
-def names(option: str, text: str) -> Any:
-    """An option that splits ``x1, x2`` into names; None stays None."""
-
-    def split(_: click.Context, __: click.Parameter, given: str | None) -> list[str] | None:
-        return None if given is None else [name.strip() for name in given.split(",") if name.strip()]
-
-    return click.option(option, callback=split, help=text)
+def law(of: str = "") -> Settings:
+    """Settings of ``--law``."""
+    text = "Law of grasping and seeing: a folder that `halfseen cell calibrate` wrote, shipped (with this package), or"
+    return {"metavar": "FOLDER", "help": f"{of}{text} assumed."}
 
 
-def seed(same: str) -> Any:
-    """``--seed``."""
-    return whole("--seed", least=0, most=MOST_SEED, default=0, text=f"Same seed, same {same}.")
+def team(of: str = "") -> Settings:
+    """Settings of ``--team``; None for one robot."""
+    text = "Robots that clear the tables together, a .toml or .json file (see `halfseen.world.read_team`); by default"
+    return {"help": f"{of}{text} there is one robot."}
 
 
-def overwrite(what: str) -> Any:
-    """``--overwrite``."""
-    return flag("--overwrite", text=f"Replace {what} already there.")
+def names_in(_: click.Context, __: click.Parameter, given: str | None) -> list[str] | None:
+    """Split ``x1, x2`` into names; None stays None."""
+    return None if given is None else [name.strip() for name in given.split(",") if name.strip()]
 
 
-def law(default: str | None, of: str = "") -> Any:
-    """``--law`` with a default; None if the command must know whether it was given."""
-    return click.option(
-        "--law",
-        default=default,
-        metavar="FOLDER",
-        help=f"{of}Law of grasping and seeing: a folder that `halfseen cell calibrate` wrote, {SHIPPED} (with this "
-        f"package), or {ASSUMED}.",
-    )
-
-
-def team(of: str = "") -> Any:
-    """``--team``; None for one robot."""
-    return path(
-        "--team",
-        text=f"{of}Robots that clear the tables together, a .toml or .json file (see `halfseen.world.read_team`); by "
-        "default there is one robot.",
-    )
-
-
-def gathered(name: str, make: Callable[..., Any], *options: str) -> Any:
-    """Pass several options to a command as one argument of that name, created by `make`."""
-
-    def give(command: Callable[..., None]) -> Callable[..., None]:
-        @wraps(command)
-        def with_one(**chosen: Any) -> None:
-            made = make(*(chosen.pop(option) for option in options))
-            command(**{name: made}, **chosen)
-
-        return with_one
-
-    return give
-
-
-def _rules(_: click.Context, param: click.Parameter, given: str | None) -> dict[str, str] | None:
+def _rules_in(_: click.Context, __: click.Parameter, given: str | None) -> dict[str, str] | None:
     """Parse ``RULE`` for all covariates, or ``x=RULE,y=RULE``; None stays None."""
     if given is None:
         return None
@@ -178,102 +189,103 @@ def _rules(_: click.Context, param: click.Parameter, given: str | None) -> dict[
     return {name.strip() or "*": rule.strip() for name, _, rule in pairs}
 
 
-missing = click.option(
-    "--missing",
-    metavar="RULE",
-    callback=_rules,
-    help="How null covariates are replaced: median+flag, last or refuse for all, or by column as "
-    "x=last,y=median+flag; by default null is refused.",
-)
-
-
-class Cuts(NamedTuple):
-    """Options that account for cuts; None if not given."""
-
-    censoring: str | None
-    censoring_by: str | None
-    censoring_covariates: list[str] | None
-    augmented: bool | None
-    truncate_at: float | None
-
-
-cuts = gathered("cuts", Cuts, *Cuts._fields)
+Names = Annotated[list[str] | None, {"callback": names_in}]
 
 
 class ArmOption(NamedTuple):
-    """An arm from a file; all None for the default arm."""
+    """An arm from a file; all None for the default arm.
 
-    file: Path | None
-    flange: str | None
-    joints: list[str] | None
+    Parameters
+    ----------
+    file
+        MJCF or URDF file of another arm; by default the Jaco 2.
+    flange
+        With --arm: site or body where the hand is mounted; by default it is found.
+    joints
+        With --arm: its hinges from the base on, as pan,lift; by default all up to the flange.
+    """
+
+    file: Annotated[Path | None, {"flags": "--arm"}] = None
+    flange: str | None = None
+    joints: Names = None
 
 
-def _trusted(*is_trusted: bool) -> tuple[str, ...]:
-    return tuple(name for name, is_so in zip(TRUST, is_trusted, strict=True) if is_so)
+class _Trusted(NamedTuple):
+    """Properties of a log that the user vouches for against appearances; otherwise no verdict relies on them.
+
+    Parameters
+    ----------
+    trust_probabilities
+        State that the probabilities of the log are true, although no policy seems to have had them.
+    trust_covariates
+        State that the covariates of the log were known before the action, although they seem to depend on it or its
+        outcome.
+    trust_endings
+        State that the endings of the log are true ends, although they look like cuts.
+    """
+
+    trust_probabilities: bool = False
+    trust_covariates: bool = False
+    trust_endings: bool = False
 
 
-def _workers(*how: Any) -> Any:
+class _WorkerOptions(NamedTuple):
+    """Options that choose workers.
+
+    Parameters
+    ----------
+    num_workers
+        Worker processes (results do not depend on it).
+    engine
+        What runs the workers: processes of this machine, or a cluster of Ray or Dask.
+    address
+        Address of the cluster; by default one is started on this machine for the command.
+    """
+
+    num_workers: Annotated[int | None, whole(1, MOST_WORKERS, flags="--workers", show_default="all cores")] = None
+    engine: Annotated[str, word(*ENGINES)] = "processes"
+    address: str | None = None
+
+
+def _trusted(given: _Trusted) -> tuple[str, ...]:
+    return tuple(name.removeprefix("trust_") for name, is_so in given._asdict().items() if is_so)
+
+
+def _workers(given: _WorkerOptions) -> Any:
     from halfseen.workers import Workers
 
-    return Workers(*how)
+    return Workers(*given)
 
 
-as_json = flag("--json", "as_json", text="Print one JSON object for programs.")
 unused_seed = click.option(
     "--seed", type=int, expose_value=False, help="Accepted by every command; nothing here is random."
 )
-labels = path(
-    "--labels",
-    text="Labels of what looks dirty, instead of those from the cloud's colour: .csv with columns object, label "
-    "(dirty, clean, unknown) and, optionally, share_in_view; or the same as .json.",
+Seed = Annotated[int, whole(0, MOST_SEED)]
+Json = Annotated[bool, {"flags": "--json"}]
+AsJson = Annotated[bool, {"flags": "--json", "help": "Print one JSON object for programs."}]
+Law = Annotated[str, law()]
+LABELS = (
+    "Labels of what looks dirty, instead of those from the cloud's colour: .csv with columns object, label (dirty, "
+    "clean, unknown) and, optionally, share_in_view; or the same as .json."
 )
-extrapolate = flag("--extrapolate", text="Decide even far outside the logs, with a warning.")
-port = whole("--port", least=0, most=65535, default=8080, text="Port of this machine; 0 for any free one.")
-CLOCKS = ("trajectory", "stage", "pooled")
-policys_censoring = word("--censoring", of=WEIGHTING, text="Censoring model; by default the policy's own.")
-policys_truncation = click.option(
-    "--truncate-at", type=float, help="Largest weight allowed; by default the policy's own."
+Labels = Annotated[Path | None, {"help": LABELS}]
+Extrapolate = Annotated[bool, {"help": "Decide even far outside the logs, with a warning."}]
+Port = Annotated[int, whole(0, 65535, help="Port of this machine; 0 for any free one.")]
+NumArms = Annotated[int, whole(1, 2, flags="--arms", help="One arm behind the table, or two at its ends.")]
+BASELINES = (
+    "Baseline to beat, may be given more than once: logging, logging-rule (without its exploration), sequence:A,B,A, a "
+    "rule (.csv or .toml), a policy folder; by default the first two."
 )
-against = click.option(
-    "--against",
-    multiple=True,
-    metavar="BASELINE",
-    help="Baseline to beat, may be given more than once: logging, logging-rule (without its exploration), "
-    "sequence:A,B,A, a rule (.csv or .toml), a policy folder; by default the first two.",
+Against = Annotated[tuple[str, ...], {"metavar": "BASELINE", "help": BASELINES}]
+PROPENSITY = "Probabilities of the logged actions: as logged, or estimated."
+Propensity = Annotated[str, word("logged", "estimated", help=PROPENSITY)]
+RULES = (
+    "How null covariates are replaced: median+flag, last or refuse for all, or by column as x=last,y=median+flag; by "
+    "default null is refused."
 )
-propensity = word(
-    "--propensity",
-    of=["logged", "estimated"],
-    default="logged",
-    text="Probabilities of the logged actions: as logged, or estimated.",
-)
-trust = several(
-    *(flag(f"--trust-{name}", text=f"State that the {name} of the log {why}.") for name, why in TRUST.items()),
-    gathered("trust", _trusted, *(f"trust_{name}" for name in TRUST)),
-)
-arm = several(
-    path("--arm", text="MJCF or URDF file of another arm; by default the Jaco 2."),
-    click.option("--flange", help="With --arm: site or body where the hand is mounted; by default it is found."),
-    names("--joints", "With --arm: its hinges from the base on, as pan,lift; by default all up to the flange."),
-    gathered("arm", ArmOption, "arm", "flange", "joints"),
-)
-num_arms = whole("--arms", "num_arms", least=1, most=2, default=1, text="One arm behind the table, or two at its ends.")
-workers = several(
-    click.option(
-        "--workers",
-        "num_workers",
-        type=click.IntRange(1, MOST_WORKERS),
-        show_default="all cores",
-        help="Worker processes (results do not depend on it).",
-    ),
-    word(
-        "--engine",
-        of=ENGINES,
-        default="processes",
-        text="What runs the workers: processes of this machine, or a cluster of Ray or Dask.",
-    ),
-    click.option(
-        "--address", help="Address of the cluster; by default one is started on this machine for the command."
-    ),
-    gathered("workers", _workers, "num_workers", "engine", "address"),
-)
+Missing = Annotated[dict[str, str] | None, {"metavar": "RULE", "callback": _rules_in, "help": RULES}]
+PolicysCensoring = Annotated[str | None, word(*WEIGHTING, help="Censoring model; by default the policy's own.")]
+PolicysTruncation = Annotated[float | None, {"help": "Largest weight allowed; by default the policy's own."}]
+ByClock = Annotated[str | None, word("trajectory", "stage", "pooled")]
+Trust = Annotated[tuple[str, ...], Gathered(_Trusted, _trusted)]
+WorkersOption = Annotated["Workers", Gathered(_WorkerOptions, _workers)]

@@ -4,18 +4,13 @@ import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from string import Formatter
-from typing import TYPE_CHECKING, Any
-
-import click
+from typing import Annotated, Any, NamedTuple
 
 from halfseen.cli import options
 from halfseen.cli.messages import answer
 from halfseen.errors import ArgumentError
 from halfseen.progress import Progress
 from halfseen.text_table import aligned
-
-if TYPE_CHECKING:
-    from halfseen.workers import Workers
 
 Row = Mapping[str, Any]
 
@@ -51,17 +46,19 @@ STAGES = {
 }
 
 
-@click.command(epilog="Example: halfseen inspect logs --json")
-@click.argument("logs", type=options.PATH)
-@options.missing
-@options.flag("--json", "as_json", text="Print one JSON object for programs, with every row.")
+@options.command("halfseen inspect logs --json")
 @options.unused_seed
-def inspect(logs: Path, missing: dict[str, str] | None, as_json: bool) -> None:
+def inspect(logs: Path, *, missing: options.Missing = None, as_json: options.Json = False) -> None:
     """Say what LOGS holds: trajectories, endings and causes, stages, actions, and what their weights rest on.
 
     LOGS may be complete, still being recorded, or left by a recorder that crashed. What looks wrong comes first.
 
     The effective sample size is the number of equally weighted stages that are as precise as the weighted ones.
+
+    Parameters
+    ----------
+    as_json
+        Print one JSON object for programs, with every row.
     """
     with Progress(2, "start") as bar:
         from halfseen.logs import read_logs
@@ -137,46 +134,37 @@ class _Form(Formatter):
 
 WORK = {"start": 10, "evaluate": 25, "look at the policy": 1, "learn again": 18, "look at the log": 1, "draw": 8}
 """Relative time of each step, roughly."""
-USUAL: dict[str, Any] = {"propensity": "logged", "replicates": 100}
-"""Default values of options."""
 
 
-@click.command(epilog="Example: halfseen report logs policy --out report.html --seed 1")
-@click.argument("logs", type=options.PATH)
-@click.argument("policy", type=options.PATH, required=False)
-@options.path("--out", default=Path("report.html"), text="File of the page.")
-@options.against
-@options.policys_censoring
-@options.propensity
-@options.policys_truncation
-@options.whole(
-    "--replicates",
-    least=2,
-    most=options.MOST_REPLICATES,
-    default=100,
-    text="Bootstrap replicates for the bands around Q.",
-)
-@click.option("--unit", help="Unit of rewards, such as parts; by default that of the logs.")
-@options.missing
-@options.workers
-@options.seed("page")
-@options.overwrite("a page that is")
-@options.flag("--json", "as_json", text="Print the numbers behind the page as one JSON object.")
+class Asked(NamedTuple):
+    """Options about a policy.
+
+    Parameters
+    ----------
+    replicates
+        Bootstrap replicates for the bands around Q.
+    """
+
+    against: options.Against = ()
+    censoring: options.PolicysCensoring = None
+    propensity: options.Propensity = "logged"
+    truncate_at: options.PolicysTruncation = None
+    replicates: Annotated[int, options.whole(2, options.MOST_REPLICATES)] = 100
+
+
+@options.command("halfseen report logs policy --out report.html --seed 1")
 def report(
     logs: Path,
-    policy: Path | None,
-    out: Path,
-    against: tuple[str, ...],
-    censoring: str | None,
-    propensity: str,
-    truncate_at: float | None,
-    replicates: int,
-    unit: str | None,
-    missing: dict[str, str] | None,
-    workers: "Workers",
-    seed: int,
-    overwrite: bool,
-    as_json: bool,
+    policy: Path | None = None,
+    *,
+    out: Path = Path("report.html"),
+    asked: Asked,
+    unit: str | None = None,
+    missing: options.Missing = None,
+    workers: options.WorkersOption,
+    seed: options.Seed = 0,
+    overwrite: bool = False,
+    as_json: options.Json = False,
 ) -> None:
     """Write one page about the folder LOGS and, if one is given, the policy in the folder POLICY.
 
@@ -185,6 +173,19 @@ def report(
     hold, trajectory by trajectory, what cut them and what looks wrong; what the weights rest on; what was learned and
     what it would do differently; and what these logs cannot show. Without POLICY it is about the logs alone. The page
     is one file that can be mailed or printed.
+
+    Parameters
+    ----------
+    out
+        File of the page.
+    unit
+        Unit of rewards, such as parts; by default that of the logs.
+    seed
+        Same seed, same page.
+    overwrite
+        Replace a page that is already there.
+    as_json
+        Print the numbers behind the page as one JSON object.
     """
     from halfseen.installation import extra
 
@@ -198,38 +199,26 @@ def report(
         from halfseen.view.words import answer_of
 
         check_page_target(out, overwrite)
-        chosen: dict[str, Any] = {"censoring": censoring, "propensity": propensity, "truncate_at": truncate_at}
-        asked = {"against": against, **chosen, "replicates": replicates}
-        _refuse_without_policy(policy, asked)
-        command = _command(
-            logs, policy, {"against": against, "unit": unit, "missing": _written(missing), **asked, "seed": seed}
-        )
+        given = {name: value for name, value in asked._asdict().items() if value != getattr(Asked(), name)}
+        if given and policy is None:
+            option = f"--{next(iter(given)).replace('_', '-')}"
+            there = f"{option} applies to a policy, but none is given"
+            raise ArgumentError(f"{there}; add POLICY after LOGS, or leave it out")
+        known = {"against": (), "unit": unit, "missing": _written(missing), **given, "seed": seed}
+        command = _command(logs, policy, known)
         stored = None if policy is None else read_policy(policy)
         log = read_logs(logs, missing=missing if stored is None else stored.missing(missing))
         log = log if unit is None else log.in_unit(unit)
-        how: dict[str, Any] = {"num_replicates": replicates, "workers": workers, **chosen}
+        how = asked._asdict() | {"against": list(asked.against) or None, "workers": workers}
 
         def begin(step: str) -> None:
             bar.begin(step, WORK[bar.what])
 
-        findings = find(stored, log, seed=seed, against=list(against) or None, on_progress=begin, **how)
+        findings = find(stored, log, seed=seed, num_replicates=how.pop("replicates"), on_progress=begin, **how)
         begin("draw")
         write_page(page_of(findings, command), out, overwrite=overwrite)
     folders = {"page": str(out), "logs": str(logs)} | ({} if policy is None else {"policy_folder": str(policy)})
     answer(folders | findings.as_dict(), [answer_of(findings), f"The page: {out}"], as_json)
-
-
-def _refuse_without_policy(policy: Path | None, chosen: Mapping[str, Any]) -> None:
-    """Refuse options about a policy if there is none."""
-    given = next(iter(_given(chosen)), None)
-    if policy is None and given is not None:
-        option = f"--{given.replace('_', '-')}"
-        raise ArgumentError(f"{option} applies to a policy, but none is given; add POLICY after LOGS, or leave it out")
-
-
-def _given(chosen: Mapping[str, Any]) -> dict[str, Any]:
-    """Options that differ from their defaults."""
-    return {name: value for name, value in chosen.items() if value not in (None, ()) and USUAL.get(name) != value}
 
 
 def _written(missing: Mapping[str, str] | None) -> str | None:
@@ -240,7 +229,8 @@ def _written(missing: Mapping[str, str] | None) -> str | None:
 def _command(logs: Path, policy: Path | None, chosen: Mapping[str, Any]) -> str:
     """Command that creates the page again, without its output option."""
     parts = ["halfseen", "report", str(logs), *([] if policy is None else [str(policy)])]
-    for name, value in _given(chosen).items():
-        for one in value if isinstance(value, tuple) else (value,):
+    for name, value in chosen.items():
+        values = value if isinstance(value, tuple) else (value,)
+        for one in (each for each in values if each is not None):
             parts += [f"--{name.replace('_', '-')}", f"{one:g}" if isinstance(one, float) else str(one)]
     return shlex.join(parts)

@@ -9,7 +9,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Annotated, Any, BinaryIO
 
 import click
 
@@ -28,94 +28,31 @@ if TYPE_CHECKING:
 TOKEN, PASSWORD = "HALFSEEN_TOKEN", "HALFSEEN_OPCUA_PASSWORD"
 HERE = "127.0.0.1"
 SHORTEST_TOKEN = 16
-ABOVE_0: Any = {"min": 0.0, "min_open": True}
-OUT_OF_RANGE = ["answer", "step-back"]
-FALL_BACK = (
-    "Rule (.csv or .toml) that decides where the policy does not; by default the usual action of its log in that stage."
-)
+ABOVE_0: options.Settings = {"type": options.Real(0.0, min_open=True)}
 
 
-@click.command(epilog="Example: halfseen serve policy --record next-logs --explore 0.1")
-@click.argument("policy", type=options.PATH)
-@click.option("--host", default=HERE, help="Address to listen on; one that other machines can reach needs a token.")
-@options.port
-@click.option("--token", envvar=TOKEN, help=f"Token of each request; better in the environment, as {TOKEN}.")
-@options.path("--record", metavar="LOGS", text="Record the decisions in this folder of logs.")
-@click.option(
-    "--explore",
-    type=options.ShareOrTable(),
-    default="0",
-    help="Share of decisions drawn at random among the possible actions; or a CSV table of what to try where, as "
-    "`halfseen learn --exploration` writes.",
-)
-@options.law(None, f"For clouds of a table; by default {SHIPPED}. ")
-@options.extrapolate
-@options.path("--fall-back", metavar="RULE", text=FALL_BACK)
-@options.word(
-    "--out-of-range",
-    of=OUT_OF_RANGE,
-    text="What to do just outside the logs; by default the rule decides.",
-)
-@options.path(
-    "--against",
-    metavar="RULE",
-    text="Current rule (.csv or .toml): assign each trajectory at random to it or to the policy, until it is clear "
-    "which earns more. Needs --record.",
-)
-@options.real(
-    "--share",
-    **(ABOVE_0 | {"max": 0.5}),
-    text="With --against: initial share of the policy, by default 0.2; it grows as the largest likely loss shrinks.",
-)
-@options.real(
-    "--most-loss",
-    **ABOVE_0,
-    text="With --against: total that the policy may lose against the rule [reward]; by default it is stopped once it "
-    "is seen to lose.",
-)
-@options.real("--time-limit", **ABOVE_0, default=5.0, text="Time to wait for the policy before the rule decides [s].")
-@options.real(
-    "--monitor-every",
-    min=0.0,
-    max=86400.0,
-    default=30.0,
-    text="With --record: least time between two comparisons of what is earned with the promise, in a separate process "
-    "[s]; 0 for never.",
-)
-@click.option(
-    "--opcua",
-    "controller",
-    metavar="URL",
-    help="Answer a controller over OPC UA instead, such as opc.tcp://10.0.0.2:4840. Needs --mapping, --record and the "
-    "extra opcua.",
-)
-@options.path("--mapping", text="With --opcua: which of the controller's variables holds what (TOML).")
-@options.flag(
-    "--mapping-template",
-    "is_template",
-    text="Only print a mapping template for this policy, or write it to --mapping.",
-)
-@options.seed("draws of --explore and assignments of --against")
+@options.command("halfseen serve policy --record next-logs --explore 0.1")
 def serve(
     policy: Path,
-    host: str,
-    port: int,
-    token: str | None,
-    record: Path | None,
-    explore: float | Path,
-    law: str | None,
-    extrapolate: bool,
-    fall_back: Path | None,
-    out_of_range: str | None,
-    against: Path | None,
-    share: float | None,
-    most_loss: float | None,
-    time_limit: float,
-    monitor_every: float,
-    controller: str | None,
-    mapping: Path | None,
-    is_template: bool,
-    seed: int,
+    *,
+    host: str = HERE,
+    port: options.Port = 8080,
+    token: Annotated[str | None, {"envvar": TOKEN}] = None,
+    record: Annotated[Path | None, {"metavar": "LOGS"}] = None,
+    explore: Annotated[float | Path, {"type": options.ShareOrTable(), "default": "0"}] = 0.0,
+    law: Annotated[str | None, options.law("For clouds of a table; by default shipped. ")] = None,
+    extrapolate: options.Extrapolate = False,
+    fall_back: Annotated[Path | None, {"metavar": "RULE"}] = None,
+    out_of_range: Annotated[str | None, options.word("answer", "step-back")] = None,
+    against: Annotated[Path | None, {"metavar": "RULE"}] = None,
+    share: Annotated[float | None, {"type": options.Real(0.0, 0.5, min_open=True)}] = None,
+    most_loss: Annotated[float | None, ABOVE_0] = None,
+    time_limit: Annotated[float, ABOVE_0] = 5.0,
+    monitor_every: Annotated[float, {"type": options.Real(0.0, 86400.0)}] = 30.0,
+    controller: Annotated[str | None, {"flags": "--opcua", "metavar": "URL"}] = None,
+    mapping: Path | None = None,
+    is_template: Annotated[bool, {"flags": "--mapping-template"}] = False,
+    seed: options.Seed = 0,
 ) -> None:
     """Answer what `halfseen act` answers, over HTTP, by the policy in the folder POLICY. Needs the extra serve.
 
@@ -136,6 +73,45 @@ def serve(
 
     With --opcua, halfseen reads a controller's variables and writes its decisions there; HTTP then only reports the
     status. A restarted server continues the trajectory that the last one left.
+
+    Parameters
+    ----------
+    host
+        Address to listen on; one that other machines can reach needs a token.
+    token
+        Token of each request; better in the environment, as HALFSEEN_TOKEN.
+    record
+        Record the decisions in this folder of logs.
+    explore
+        Share of decisions drawn at random among the possible actions; or a CSV table of what to try where, as `halfseen
+        learn --exploration` writes.
+    fall_back
+        Rule (.csv or .toml) that decides where the policy does not; by default the usual action of its log in that
+        stage.
+    out_of_range
+        What to do just outside the logs; by default the rule decides.
+    against
+        Current rule (.csv or .toml): assign each trajectory at random to it or to the policy, until it is clear which
+        earns more. Needs --record.
+    share
+        With --against: initial share of the policy, by default 0.2; it grows as the largest likely loss shrinks.
+    most_loss
+        With --against: total that the policy may lose against the rule [reward]; by default it is stopped once it is
+        seen to lose.
+    time_limit
+        Time to wait for the policy before the rule decides [s].
+    monitor_every
+        With --record: least time between two comparisons of what is earned with the promise, in a separate process [s];
+        0 for never.
+    controller
+        Answer a controller over OPC UA instead, such as opc.tcp://10.0.0.2:4840. Needs --mapping, --record and the
+        extra opcua.
+    mapping
+        With --opcua: which of the controller's variables holds what (TOML).
+    is_template
+        Only print a mapping template for this policy, or write it to --mapping.
+    seed
+        Same seed, same draws of --explore and assignments of --against.
     """
     import numpy as np
 
@@ -268,31 +244,16 @@ def _check_token(host: str, token: str | None) -> None:
         )
 
 
-@click.command(epilog="Example: halfseen record --out logs < calls.jsonl")
-@click.argument("source", type=options.PATH, required=False)
-@options.path("--out", required=True, text="Folder of logs; recording continues in an existing one.")
-@click.option(
-    "--listen",
-    metavar="PORT|SOCKET",
-    help="Read lines from a port of this machine (0 for any), or from a Unix socket, given as a file.",
-)
-@options.word(
-    "--fsync",
-    of=["never", "trajectory", "stage", "event"],
-    default="never",
-    text="How often to wait for the disk; a power failure loses at most the data since then.",
-)
-@options.whole(
-    "--part-mb",
-    least=1,
-    most=10**6,
-    default=256,
-    text="Size from which on the next trajectory begins a new file of OUT [MB].",
-)
-@click.option("--reward-unit", help="Unit of rewards, such as parts.")
+@options.command("halfseen record --out logs < calls.jsonl")
 @options.unused_seed
 def record(
-    source: Path | None, out: Path, listen: str | None, fsync: str, part_mb: int, reward_unit: str | None
+    source: Path | None = None,
+    *,
+    out: Path,
+    listen: Annotated[str | None, {"metavar": "PORT|SOCKET"}] = None,
+    fsync: Annotated[str, options.word("never", "trajectory", "stage", "event")] = "never",
+    part_mb: Annotated[int, options.whole(1, 10**6)] = 256,
+    reward_unit: str | None = None,
 ) -> None:
     """Record logs from JSON lines, each answered by a line; they come from SOURCE, or from standard input.
 
@@ -309,6 +270,19 @@ def record(
 
     At the end of the lines, a trajectory in progress is cut with the cause input-ended. A refused line does not affect
     later ones.
+
+    Parameters
+    ----------
+    out
+        Folder of logs; recording continues in an existing one.
+    listen
+        Read lines from a port of this machine (0 for any), or from a Unix socket, given as a file.
+    fsync
+        How often to wait for the disk; a power failure loses at most the data since then.
+    part_mb
+        Size from which on the next trajectory begins a new file of OUT [MB].
+    reward_unit
+        Unit of rewards, such as parts.
     """  # noqa: D301
     from halfseen.logs import LogRecorder
     from halfseen.logs.protocol import record_lines

@@ -2,12 +2,12 @@
 
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any
 
 import click
 
 from halfseen.cli import options
-from halfseen.cli.inputs import law_folder, law_of, num_scenes, read_robots, scenes_of
+from halfseen.cli.inputs import law_folder, law_of, looks_at, read_robots
 from halfseen.cli.messages import answer, say, tally
 from halfseen.cli.options import SHIPPED
 from halfseen.errors import ArgumentError
@@ -15,62 +15,25 @@ from halfseen.planners import HEURISTICS, UNIFORM, named_policy
 from halfseen.progress import Progress
 from halfseen.writing import refuse_unwritable
 
-if TYPE_CHECKING:
-    from halfseen.workers import Workers
-
-
-CUT_KINDS = ("independent", "occlusion", "attempt")
-_HORIZON = 10
 _START, _TABLE = 4, 2  # work of starting and of playing one table, in units of one look
 
 
-@click.command(epilog="Example: halfseen simulate --out logs --episodes 500 --seed 1")
-@click.argument("clouds", type=options.PATH, nargs=-1)
-@options.path("--out", required=True, text="Folder that the logs are written to.")
-@options.whole("--episodes", least=1, most=options.MOST_EPISODES, default=1000, text="Number of trajectories.")
-@options.word("--policy", of=[UNIFORM, *HEURISTICS], default="history-penalty", text="Policy that decides.")
-@options.real(
-    "--random-share",
-    min=0.0,
-    max=1.0,
-    default=0.5,
-    text="Probability that a step takes an action uniformly at random instead.",
-)
-@options.real(
-    "--cut-share",
-    min=0.0,
-    max=1.0,
-    default=0.33,
-    max_open=True,
-    text="Proportion of the trajectories that is cut, in expectation.",
-)
-@options.word("--cut-kind", of=CUT_KINDS, default="independent", text="What causes cuts.")
-@options.whole(
-    "--horizon",
-    least=1,
-    most=options.MOST_STAGES,
-    default=_HORIZON,
-    text="Steps of a trajectory; for a team, of each robot.",
-)
-@options.team()
-@options.law(options.ASSUMED)
-@options.seed("logs")
-@options.as_json
-@options.overwrite("logs that are")
+@options.command("halfseen simulate --out logs --episodes 500 --seed 1")
 def simulate(
-    clouds: tuple[Path, ...],
+    clouds: tuple[Path, ...] = (),
+    *,
     out: Path,
-    episodes: int,
-    policy: str,
-    random_share: float,
-    cut_share: float,
-    cut_kind: str,
-    horizon: int,
-    team: Path | None,
-    law: str,
-    seed: int,
-    as_json: bool,
-    overwrite: bool,
+    episodes: Annotated[int, options.whole(1, options.MOST_EPISODES)] = 1000,
+    policy: Annotated[str, options.word(UNIFORM, *HEURISTICS)] = "history-penalty",
+    random_share: Annotated[float, {"type": options.Real(0.0, 1.0)}] = 0.5,
+    cut_share: Annotated[float, {"type": options.Real(0.0, 1.0, max_open=True)}] = 0.33,
+    cut_kind: Annotated[str, options.word("independent", "occlusion", "attempt")] = "independent",
+    horizon: Annotated[int, options.whole(1, options.MOST_STAGES)] = 10,
+    team: Annotated[Path | None, options.team()] = None,
+    law: options.Law = options.ASSUMED,
+    seed: options.Seed = 0,
+    as_json: options.AsJson = False,
+    overwrite: bool = False,
 ) -> None:
     """Record logs of a policy on the tables of CLOUDS, by default the ten that come with halfseen.
 
@@ -81,17 +44,40 @@ def simulate(
 
     With --team, the robot that is free decides, and a cut ends the table for all. The heuristics then leave alone what
     another robot is handling, and count the team's cost of time.
+
+    Parameters
+    ----------
+    out
+        Folder that the logs are written to.
+    episodes
+        Number of trajectories.
+    policy
+        Policy that decides.
+    random_share
+        Probability that a step takes an action uniformly at random instead.
+    cut_share
+        Proportion of the trajectories that is cut, in expectation.
+    cut_kind
+        What causes cuts.
+    horizon
+        Steps of a trajectory; for a team, of each robot.
+    seed
+        Same seed, same logs.
+    overwrite
+        Replace logs that are already there.
     """
     if out.exists() and not overwrite:
         raise ArgumentError(f"{out}: it already exists; choose another folder, or pass --overwrite to replace it")
-    num_clouds = num_scenes(clouds)
-    with Progress(_START + num_clouds * (1 + _TABLE), "start") as bar:
+    looks, scenes = looks_at(clouds), []
+    with Progress(_START + len(looks) * (1 + _TABLE), "start") as bar:
         from halfseen.world import TableWorld, WorldConfig
 
         robots = read_robots(team)
         known, config = law_of(law), WorldConfig(horizon=horizon)
         bar.begin("look", _START)
-        scenes = scenes_of(clouds, known, on_each=bar.update)
+        for look in looks:
+            scenes.append(look(known))
+            bar.update()
         bar.begin("simulate", 0)
         config = config if known is None else known.config(config)
         world = TableWorld.of(robots, config)
@@ -120,38 +106,42 @@ def _lines(report: dict[str, Any]) -> list[str]:
     ]
 
 
-@click.command(epilog="Example: halfseen study --out runs/study --repetitions 200 --resume")
-@options.path("--out", default="runs/study", text="Folder to fill.")
-@click.option(
-    "--repetitions",
-    type=click.IntRange(max=options.MOST_EPISODES),
-    help="Number of fresh logs and episodes; the paper made 10,000.",
-)
-@click.option("--only", multiple=True, metavar="NAME", help="Run this experiment alone; may be given more than once.")
-@options.seed("study, except for measured times")
-@options.law(SHIPPED)
-@options.flag("--no-laws", text="Learn by linear eq. 3, without laws fitted to the logs.")
-@options.flag("--resume", text="Continue a study that was stopped, or add repetitions to one.")
-@options.workers
-@options.flag("--json", "is_json", text="Print study.json instead of the answer.")
-@click.argument("clouds", nargs=-1, type=options.PATH)
+@options.command("halfseen study --out runs/study --repetitions 200 --resume")
 def study(
-    out: Path,
-    repetitions: int | None,
-    only: tuple[str, ...],
-    seed: int,
-    law: str,
-    no_laws: bool,
-    resume: bool,
-    workers: "Workers",
-    is_json: bool,
-    clouds: tuple[Path, ...],
+    clouds: tuple[Path, ...] = (),
+    *,
+    out: Path = Path("runs/study"),
+    repetitions: Annotated[int | None, {"type": click.IntRange(max=options.MOST_EPISODES)}] = None,
+    only: Annotated[tuple[str, ...], {"metavar": "NAME"}] = (),
+    seed: options.Seed = 0,
+    law: options.Law = SHIPPED,
+    no_laws: bool = False,
+    resume: bool = False,
+    workers: options.WorkersOption,
+    is_json: options.Json = False,
 ) -> None:
     """Regenerate the figures, tables and report of the study from ten captured tables, or from CLOUDS of your own.
 
     The world has the law of the physical cell that comes with the package, the law in a folder, or assumed laws.
 
     Experiments: reward, planning, censoring, grasp, attempts, clutter, regret.
+
+    Parameters
+    ----------
+    out
+        Folder to fill.
+    repetitions
+        Number of fresh logs and episodes; the paper made 10,000.
+    only
+        Run this experiment alone; may be given more than once.
+    seed
+        Same seed, same study, except for measured times.
+    no_laws
+        Learn by linear eq. 3, without laws fitted to the logs.
+    resume
+        Continue a study that was stopped, or add repetitions to one.
+    is_json
+        Print study.json instead of the answer.
     """
     from halfseen.scene import table_paths
     from halfseen.study.runner import chosen, run_study, without_laws

@@ -4,8 +4,9 @@ import shlex
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
+from halfseen.cli.options import word
 from halfseen.errors import ArgumentError, LogError
 from halfseen.progress import Progress
 
@@ -15,31 +16,60 @@ if TYPE_CHECKING:
     from halfseen.logs import Logs
 
 MINARI, SQL = "minari:", "sql:"
-OPTIONS_OF = {
-    ("mapping",): ("bag", "sql", "events"),
-    ("clouds", "see"): ("bag",),
-    ("stages", "trajectories", "objects"): ("sql",),
-    ("action", "reward", "done"): ("lerobot", "steps", "hdf5"),
-    ("clock", "step_s", "truncated"): ("minari", "lerobot", "steps", "hdf5"),
+STEPS = ("lerobot", "steps", "hdf5")
+KINDS_OF = {
+    "mapping": ("bag", "sql", "events"),
+    **dict.fromkeys(("clouds", "see"), ("bag",)),
+    **dict.fromkeys(("stages", "trajectories", "objects"), ("sql",)),
+    **dict.fromkeys(("action", "reward", "done"), STEPS),
+    **dict.fromkeys(("clock", "step_s", "truncated"), ("minari", *STEPS)),
 }
-"""Kinds of sources that take each group of options."""
+"""Kinds of sources that take each option."""
 
 
 class Reading(NamedTuple):
-    """Options that some kinds of sources take."""
+    """Options that some kinds of sources take.
 
-    mapping: Path | None
-    clouds: Path | None
-    see: bool
-    stages: str | None
-    trajectories: str | None
-    objects: str | None
-    action: str | None
-    reward: str | None
-    done: str | None
-    clock: str | None
-    step_s: float | None
-    truncated: str | None
+    Parameters
+    ----------
+    mapping
+        What holds what (TOML): for a bag, topics; for a table, columns; for sql, SELECTs.
+    clouds
+        For a bag: folder to write each stage's cloud to, as .pcd.
+    see
+        For a bag: take as objects of each stage what its cloud shows.
+    stages
+        For sql: the stages, with the columns of a log.
+    trajectories
+        For sql: the trajectories.
+    objects
+        For sql: the objects, if there are any.
+    action
+        For datasets of steps: the column that holds the action.
+    reward
+        For datasets of steps: the column that holds the reward.
+    done
+        For datasets of steps: the column that is true where an episode terminated.
+    clock
+        For datasets of steps: the column (Minari: the info) that holds the time [s].
+    step_s
+        For datasets of steps: how long a step lasts [s].
+    truncated
+        For datasets of steps: how an episode ended that did not terminate; by default cut.
+    """
+
+    mapping: Path | None = None
+    clouds: Path | None = None
+    see: bool = False
+    stages: Annotated[str | None, {"metavar": "SELECT"}] = None
+    trajectories: Annotated[str | None, {"metavar": "SELECT"}] = None
+    objects: Annotated[str | None, {"metavar": "SELECT"}] = None
+    action: Annotated[str | None, {"metavar": "NAME"}] = None
+    reward: Annotated[str | None, {"metavar": "NAME"}] = None
+    done: Annotated[str | None, {"metavar": "NAME"}] = None
+    clock: Annotated[str | None, {"metavar": "NAME"}] = None
+    step_s: float | None = None
+    truncated: Annotated[str | None, word("cut", "finished")] = None
 
 
 def kind_of(source: str, is_mapped: bool = False) -> str:
@@ -125,24 +155,6 @@ def _is_bag(path: Path) -> bool:
     if path.is_dir():
         return (path / "metadata.yaml").exists() or any(file.suffix == ".db3" for file in path.iterdir())
     return path.suffix in (".mcap", ".db3", ".bag")
-
-
-def check_options(kind: str, reading: Reading) -> None:
-    """Refuse options that a source of this kind does not take.
-
-    Raises
-    ------
-    ArgumentError
-        Such an option is given.
-    """
-    for names, owners in OPTIONS_OF.items():
-        for name in names:
-            given = getattr(reading, name)
-            if given is not None and given is not False and kind not in owners:
-                kinds = " or ".join(filter(None, [", ".join(owners[:-1]), owners[-1]]))
-                raise ArgumentError(
-                    f"--{name.replace('_', '-')} is for a source of kind {kinds}; this is {kind}: leave it out"
-                )
 
 
 def read(kind: str, source: str, how: Reading, missing: str | None = None) -> "Logs":

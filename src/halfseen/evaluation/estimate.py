@@ -9,7 +9,7 @@ So an estimate outside is moved to the nearer end, and intervals are clipped to 
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -142,7 +142,8 @@ def _quantile(level: float, shift: float, freedom: float) -> float:
     high = 1.0 + shift
     while _beyond(high, shift, freedom) > 1.0 - level:
         high *= 2.0
-    return float(brentq(lambda x: 1.0 - level - _beyond(x, shift, freedom), 0.0, high, xtol=1e-300))
+    reach: Any = brentq(lambda x: 1.0 - level - _beyond(x, shift, freedom), 0.0, high, xtol=1e-300)
+    return float(reach)
 
 
 def check_level(level: float) -> None:

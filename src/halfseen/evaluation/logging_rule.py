@@ -42,7 +42,7 @@ def forest(num_rows: int) -> Any:
     from sklearn.ensemble import RandomForestClassifier
 
     least = max(LEAF_SIZE, -(-num_rows // MOST_LEAVES))
-    return RandomForestClassifier(NUM_TREES, max_features=None, min_samples_leaf=least, random_state=0)
+    return RandomForestClassifier(NUM_TREES, max_features=1.0, min_samples_leaf=least, random_state=0)
 
 
 def logit(num_rows: int) -> Any:

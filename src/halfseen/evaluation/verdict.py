@@ -31,7 +31,7 @@ odds.
 from dataclasses import dataclass
 from math import exp, log
 from statistics import NormalDist
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -249,7 +249,8 @@ def undone_at(difference: Estimate, excess: Float[np.ndarray, "n T"], error: Flo
         return STRONGEST
     from scipy.optimize import brentq
 
-    return exp(brentq(lambda each: lead + shift(excess, signed, exp(each)), 0.0, log(STRONGEST)))
+    log_gamma: Any = brentq(lambda each: lead + shift(excess, signed, exp(each)), 0.0, log(STRONGEST))
+    return exp(log_gamma)
 
 
 def in_words(gamma: float) -> str:

@@ -23,8 +23,8 @@ from halfseen.shapes import Float
 from halfseen.tables.explain import TableExplanation, action_reason
 from halfseen.tables.present import Present
 from halfseen.view.shapes import convex_mesh, moved
-from halfseen.view.stage_view import Hand, Option, Part, StageView, Watched
-from halfseen.view.stages import ShownObject, coloured_points, eye_over_table, options_of, shown_objects
+from halfseen.view.stage_view import Hand, Option, Part, Shown, StageView, Watched
+from halfseen.view.stages import coloured_points, eye_over_table, mesh_of, options_of, with_shadows
 from halfseen.world import random
 from halfseen.world.actions import ActionSpace
 from halfseen.world.policy import ExploringPolicy, Policy
@@ -154,15 +154,15 @@ class CellWatch:
         known = []
         for number in there:
             each = memory.objects[number]
-            middle_m, solid = moved(each.middle_m[None], table_from_world)[0], each.seen and each.seen.solid
-            known.append(ShownObject(number, float(chances[number]), memory.occlusion(number), middle_m, solid))
+            middle_m, solid = moved(each.middle_m[None], table_from_world)[0], each.seen and mesh_of(each.seen.solid)
+            known.append(Shown(number, float(chances[number]), memory.occlusion(number), middle_m, solid))
         eye_m = eye_over_table(view, cloud)
         options, reason = ((), moment.words) if moment.of_team else explained(cast(Policy, self._policy), moment)
         return StageView(
             f"{self._name}, stage {moment.stage} of {self._horizon}",
             *coloured_points(cloud, world_from_table @ np.linalg.inv(view.cloud_from_table)),
             moved(eye_m[None], world_from_table)[0],
-            shown_objects(known, eye_m, world_from_table),
+            with_shadows(known, eye_m, world_from_table),
             memory.hides[np.ix_(there, there)],
             options,
             moment.of_team or ActionSpace(moment.state.num_objects).names[moment.action],

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
+from scipy.spatial import KDTree
 
 from halfseen.arrays import expit
 from halfseen.evaluation.specification import task_of
@@ -19,8 +20,7 @@ from halfseen.learning.targets import CENSORING_CHOICES
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.policies.decision import reach
-from halfseen.policies.folder import StoredPolicy, q_space_of_record
-from halfseen.policies.folder.specification import reg_of_record, targets_of_record
+from halfseen.policies.folder import StoredPolicy, q_space_of_record, reg_of_record, targets_of_record
 from halfseen.policies.shares import action_shares, horizon_of
 from halfseen.shapes import Bool, Float, Int
 from halfseen.workers import ALONE, Workers
@@ -116,11 +116,7 @@ def q_curves(
     policy = stored.policy
     if not isinstance(policy, DiscretePolicy):
         return [], None
-    frame: Any = logs.stages
-    states = {
-        stage: frame[frame["stage"] == stage] for stage in range(1, min(MOST_STAGES, logs.horizon, policy.horizon) + 1)
-    }
-    states = {stage: rows for stage, rows in states.items() if len(rows) >= FEWEST_STATES}
+    states = _first_states(policy, logs)
     numeric = [name for name in policy.covariates if name not in policy.categories]
     names = [name for name in numeric if all(np.ptp(_ends(rows[name])) > 0 for rows in states.values())]
     if not states or not names:
@@ -128,6 +124,14 @@ def q_curves(
     replicates = _replicates(stored, logs, num_replicates, seed, workers) if is_own_log else None
     band: Band | None = "bootstrap" if replicates is not None else "regression" if stored.q_error else None
     return [_curve(stored, replicates, rows, stage, name) for stage, rows in states.items() for name in names], band
+
+
+def _first_states(policy: DiscretePolicy, logs: Logs) -> dict[int, Any]:
+    """States of each of the first stages that has enough of them."""
+    frame: Any = logs.stages
+    stages = range(1, min(MOST_STAGES, logs.horizon, policy.horizon) + 1)
+    states = {stage: frame[frame["stage"] == stage] for stage in stages}
+    return {stage: rows for stage, rows in states.items() if len(rows) >= FEWEST_STATES}
 
 
 def telling(curves: list[QCurve]) -> list[str]:
@@ -237,15 +241,13 @@ def policy_maps(policy: DiscretePolicy, logs: Logs, telling: list[str]) -> list[
     telling
         Numeric covariates, the most influential first.
     """
-    stages = range(1, min(MOST_STAGES, logs.horizon, policy.horizon) + 1)
-    frame: Any = logs.stages
-    maps = [_map_of(policy, frame[frame["stage"] == stage], stage, telling) for stage in stages]
+    maps = [_map_of(policy, states, stage, telling) for stage, states in _first_states(policy, logs).items()]
     return [one for one in maps if one is not None and one.is_supported.mean() >= LEAST_SUPPORTED]
 
 
 def _map_of(policy: DiscretePolicy, states: pd.DataFrame, stage: int, telling: list[str]) -> PolicyMap | None:
     names = tuple([name for name in telling if states[name].nunique() > 1][:2])
-    if len(states) < FEWEST_STATES or not names:
+    if not names:
         return None
     values = states[list(names)].to_numpy(dtype=np.float64)
     low, high = np.quantile(values, SHOWN, axis=0)
@@ -265,7 +267,7 @@ def _map_of(policy: DiscretePolicy, states: pd.DataFrame, stage: int, telling: l
         across=across,
         up=up,
         taken=policy.decide(at, stage).astype(str).reshape(-1, len(across)),
-        is_supported=supported(across, up, values),
+        is_supported=supported(grid, values).reshape(-1, len(across)),
         dots=dots[list(names)].to_numpy(dtype=np.float64),
         done=dots["action"].astype(str).to_numpy(dtype=object),
         middle={
@@ -276,20 +278,14 @@ def _map_of(policy: DiscretePolicy, states: pd.DataFrame, stage: int, telling: l
     )
 
 
-def supported(
-    across: Float[np.ndarray, " k"], up: Float[np.ndarray, " j"] | None, states: Float[np.ndarray, "n d"]
-) -> Bool[np.ndarray, "j k"]:
-    """Whether enough logged states lie near each place of a grid, each covariate in its standard deviations."""
-    x, y = (states / states.std(axis=0)).T if up is not None else (states[:, 0] / states.std(), np.zeros(len(states)))
-    heights = np.zeros(1) if up is None else up / states[:, 1].std()
-    num_near = np.zeros((len(heights), len(across)), dtype=np.int64)
-    for column, place in enumerate(across / states[:, 0].std()):
-        # In a column of places, those near a state lie between two heights.
-        squared = NEAR**2 - (x - place) ** 2
-        reach, middle = np.sqrt(squared[squared >= 0.0]), y[squared >= 0.0]
-        begun = np.searchsorted(np.sort(middle - reach), heights, side="right")
-        num_near[:, column] = begun - np.searchsorted(np.sort(middle + reach), heights, side="left")
-    return num_near >= FEWEST_NEAR
+def supported(places: Float[np.ndarray, "k d"], states: Float[np.ndarray, "n d"]) -> Bool[np.ndarray, " k"]:
+    """Whether enough logged states lie near each place, each covariate in its standard deviations."""
+    scale = states.std(axis=0)
+    rows = pd.DataFrame(states / scale)
+    # A tree is slow with many equal points, of which enough suffice.
+    nearest: Any = KDTree(rows.groupby(list(rows)).head(FEWEST_NEAR))
+    distance, _ = nearest.query(places / scale, k=[FEWEST_NEAR])
+    return distance[:, 0] <= NEAR
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,13 +312,9 @@ def table_map(policy: Any, task: Task, logs: Logs) -> TableMap | None:
     def counted(rows: Any) -> Int[np.ndarray, "H C"]:
         return np.histogram2d(rows["hidden"], rows["chance"], bins=edges)[0].astype(np.int64)
 
-    count, verbs = counted(objects), {verb: objects[objects["verb"] == verb] for verb in TARGETED}
+    count, taken = counted(objects), {verb.name: counted(objects[objects["verb"] == verb]) for verb in TARGETED}
     is_known = count >= FEWEST_OBJECTS
-    share = {
-        verb.name: np.where(is_known, counted(rows) / np.maximum(count, 1), np.nan)
-        for verb, rows in verbs.items()
-        if len(rows)
-    }
+    share = {name: np.where(is_known, num / np.maximum(count, 1), np.nan) for name, num in taken.items() if num.any()}
     return TableMap(chance, hidden, count, share) if is_known.any() and share else None
 
 

@@ -26,20 +26,9 @@ from halfseen.perception.clouds import Vector
 from halfseen.reading import json_of, read_arrays, read_text, reason_of
 from halfseen.scene.poses import Pose
 from halfseen.shapes import Float, UInt8
+from halfseen.view import stage_view
 from halfseen.view.shapes import Mesh
-from halfseen.view.stage_view import (
-    ARROW,
-    GHOST,
-    HAND,
-    SHADOW,
-    Hand,
-    Option,
-    Part,
-    Shown,
-    StageView,
-    Watched,
-    dirty_colour,
-)
+from halfseen.view.stage_view import Hand, Option, Part, Shown, StageView, Watched, dirty_colour
 from halfseen.writing import placed, write_file
 
 MARKER = "recording.json"  # present in every recording
@@ -260,18 +249,18 @@ def _picture(
     whole.paste(Image.fromarray(behind))
     pen, font = ImageDraw.Draw(whole, "RGBA"), ImageFont.load_default(13)
     for shown in stage.objects:
-        _fill(pen, lens, shown.shadow, (*SHADOW, 70))
+        _fill(pen, lens, shown.shadow, (*stage_view.SHADOW, 70))
     for shown in sorted(stage.objects, key=lambda each: -float(lens.seen(each.middle_m[None])[1][0])):
         _fill(pen, lens, shown.solid, (*dirty_colour(shown.is_dirty), 150))
     for x, y in lens.pixels(stage.revealed_m):
-        pen.ellipse((x - 1.5, y - 1.5, x + 1.5, y + 1.5), fill=(*GHOST, 255))
+        pen.ellipse((x - 1.5, y - 1.5, x + 1.5, y + 1.5), fill=(*stage_view.GHOST, 255))
     for arrow in stage.arrows:
         _arrow(pen, *lens.seen(arrow.ends_m)[0])
     for part, pose in zip(parts, stage.poses[moment], strict=True) if len(stage.poses) else ():
         if part.is_robot:
             _fill(pen, lens, _placed(part, pose), (*part.colour, 170))
     for line_m in [] if stage.hand is None else stage.hand.lines_m:
-        pen.line(lens.pixels(line_m), fill=(*HAND, 255), width=3)
+        pen.line(lens.pixels(line_m), fill=(*stage_view.HAND, 255), width=3)
     for shown in stage.objects:
         (at,) = lens.pixels(shown.middle_m[None])
         pen.text(at, f"{shown.number}: {shown.is_dirty:.2f}", (0, 0, 0, 255), font, anchor="mm")
@@ -310,8 +299,8 @@ def _fill(pen: ImageDraw.ImageDraw, lens: _Lens, mesh: Mesh | None, colour: Colo
 
 
 def _arrow(pen: ImageDraw.ImageDraw, begin: Float[np.ndarray, " 2"], end: Float[np.ndarray, " 2"]) -> None:
-    pen.line([tuple(begin.tolist()), tuple(end.tolist())], fill=(*ARROW, 255), width=2)
+    pen.line([tuple(begin.tolist()), tuple(end.tolist())], fill=(*stage_view.ARROW, 255), width=2)
     along = (end - begin) / max(float(np.linalg.norm(end - begin)), 1e-6)
     across = np.array([-along[1], along[0]])
     tip = [end, end - 9 * along + 4 * across, end - 9 * along - 4 * across]
-    pen.polygon([tuple(corner.tolist()) for corner in tip], fill=(*ARROW, 255))
+    pen.polygon([tuple(corner.tolist()) for corner in tip], fill=(*stage_view.ARROW, 255))

@@ -57,8 +57,8 @@ class Shown:
     occlusion: float
     middle_m: Vector
     solid: Mesh | None
-    shadow: Mesh | None
-    revealed_m: Points
+    shadow: Mesh | None = None
+    revealed_m: Points = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 @dataclass(frozen=True)
@@ -181,9 +181,9 @@ class StageView:
     eye_m: Vector
     objects: tuple[Shown, ...]
     hides: Hides
-    options: tuple[Option, ...]
-    action: str
-    reason: str
+    options: tuple[Option, ...] = ()
+    action: str = ""
+    reason: str = ""
     notes: tuple[str, ...] = ()
     events: tuple[str, ...] = ()
     poses: Poses = field(default_factory=lambda: np.zeros((0, 0, 7)))

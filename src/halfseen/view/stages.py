@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,7 +25,7 @@ from halfseen.policies.folder.stored import refuse_log_of_team, refuse_team
 from halfseen.shapes import Float
 from halfseen.tables.first_look import FirstLook, chances_of, first_look
 from halfseen.tables.present import Present
-from halfseen.view.shapes import convex_mesh, moved, revealed_by, shadow
+from halfseen.view.shapes import Mesh, convex_mesh, moved, revealed_by, shadow
 from halfseen.view.stage_view import Option, Shown, StageView, Watched
 from halfseen.world.log_checks import PLACE_COLUMNS
 from halfseen.world.logs import states_of
@@ -183,27 +183,24 @@ def _seen_stage(
 ) -> StageView:
     """Show one look, in coordinates of its table; `is_dirty` may include objects beyond those of the view."""
     known = [
-        ShownObject(seen.id, float(is_dirty[seen.id]), seen.occlusion, seen.solid.middle_m, seen.solid)
+        Shown(seen.id, float(is_dirty[seen.id]), seen.occlusion, seen.solid.middle_m, mesh_of(seen.solid))
         for seen in view.objects
     ]
     num, eye_m = len(known), eye_over_table(view, cloud)
     cut = f", {view.num_cut} more cut by the border of the image" if view.num_cut else ""
-    stage = StageView(
+    decided: dict[str, Any] = {}
+    if decision is not None:
+        decided = {"options": options_of(decision), "action": str(decision.action), "reason": decision.reason}
+        decided["notes"] = tuple(decision.warnings)
+    return StageView(
         title,
         *coloured_points(cloud, np.linalg.inv(view.cloud_from_table)),
         eye_m,
-        shown_objects(known, eye_m, np.eye(4)),
+        with_shadows(known, eye_m, np.eye(4)),
         view.hides,
-        options=(),
-        action="",
-        reason="",
         events=(f"seen: {num} object{'' if num == 1 else 's'}{cut}", *events),
+        **decided,
     )
-    if decision is None:
-        return stage
-    options = options_of(decision)
-    doubts = tuple(decision.warnings)
-    return replace(stage, options=options, action=str(decision.action), reason=decision.reason, notes=doubts)
 
 
 def options_of(decision: Decision) -> tuple[Option, ...]:
@@ -216,22 +213,13 @@ def options_of(decision: Decision) -> tuple[Option, ...]:
     return tuple(sorted(known, key=lambda option: -option.value))
 
 
-class ShownObject(NamedTuple):
-    """What is known of an object, whether visible or not; positions are in coordinates of the table.
-
-    `number` is its number in decisions, `middle_m` its centre when last seen [m], and `solid` is None if it is not in
-    view.
-    """
-
-    number: int
-    is_dirty: float
-    occlusion: float
-    middle_m: Vector
-    solid: Vessel | Hull | None
+def mesh_of(solid: Vessel | Hull) -> Mesh:
+    """Displayed shape of a solid."""
+    return convex_mesh(solid.outline_m())
 
 
-def shown_objects(known: Sequence[ShownObject], eye_m: Vector, frame_from_table: Transform) -> tuple[Shown, ...]:
-    """Give objects their displayed shapes.
+def with_shadows(known: Sequence[Shown], eye_m: Vector, frame_from_table: Transform) -> tuple[Shown, ...]:
+    """Add to objects, in coordinates of the table, what they hide, and move them to the display frame.
 
     Parameters
     ----------
@@ -240,15 +228,15 @@ def shown_objects(known: Sequence[ShownObject], eye_m: Vector, frame_from_table:
     frame_from_table
         Transform of homogeneous points from the table's frame to the display frame.
     """
-    solids = {each.number: convex_mesh(each.solid.outline_m()) for each in known if each.solid is not None}
-    there, shown = list(solids.values()), []
-    for number, is_dirty, occlusion, middle_m, _ in known:
-        at_m = moved(np.asarray(middle_m, dtype=np.float64)[None], frame_from_table)[0]
-        solid, behind, revealed_m = solids.get(number), None, np.zeros((0, 3))
+    solids, shown = [each.solid for each in known if each.solid is not None], []
+    for each in known:
+        middle_m = moved(np.asarray(each.middle_m, dtype=np.float64)[None], frame_from_table)[0]
+        solid, behind, revealed_m = each.solid, each.shadow, each.revealed_m
         if solid is not None:
-            revealed_m = moved(revealed_by(list(solids).index(number), there, eye_m), frame_from_table)
+            number = next(k for k, one in enumerate(solids) if one is solid)
+            revealed_m = moved(revealed_by(number, solids, eye_m), frame_from_table)
             behind, solid = shadow(solid, eye_m).moved(frame_from_table), solid.moved(frame_from_table)
-        shown.append(Shown(number, is_dirty, occlusion, at_m, solid, behind, revealed_m))
+        shown.append(replace(each, middle_m=middle_m, solid=solid, shadow=behind, revealed_m=revealed_m))
     return tuple(shown)
 
 
