@@ -41,8 +41,9 @@ def forest(num_rows: int) -> Any:
     """Bagged classification trees [BreimanEtAl1984]_ for so many rows."""
     from sklearn.ensemble import RandomForestClassifier
 
+    every: Any = None
     least = max(LEAF_SIZE, -(-num_rows // MOST_LEAVES))
-    return RandomForestClassifier(NUM_TREES, max_features=1.0, min_samples_leaf=least, random_state=0)
+    return RandomForestClassifier(NUM_TREES, max_features=every, min_samples_leaf=least, random_state=0)
 
 
 def logit(num_rows: int) -> Any:
