@@ -21,7 +21,6 @@ from halfseen.logs.missing import is_flag
 from halfseen.logs.recorded import RESOLUTION_S
 
 _LARGEST_WHOLE = 2**63
-
 _NUMBER, _FRACTION, _HUGE, _TEXT, _TRUTH = "number", "fraction", "whole number beyond 2^53", "text", "truth value"
 _EMPTY_LIST = "list"
 _CLOCK_REMEDY = "give the time since the trajectory began [s]"
@@ -265,7 +264,7 @@ def _row(
     for name, value in values.items():
         if not isinstance(name, str):
             raise LogError(f"{where}: {word} {name!r} has a name that is not text; rename it")
-        before, what = (known or {}).get(name), f"{word} {_written(name)}"
+        before, what = (known or {}).get(name), f"{word} {name if name.isprintable() else repr(name)}"
         if before is None and (name.strip().lower() in OWN_NAMES or is_of_one_robot(name)):
             raise LogError(f"{where}: {name!r} is a reserved column of the log; choose another name")
         if value is None and word == "column":
@@ -275,19 +274,16 @@ def _row(
         row[name], kind = _plain(value, where, what)
         kinds[name] = _common_kind(before, kind, where, what)
     if known is not None and word != "column":
-        for name in (name for name in known if name not in kinds and not _may_lack(name, known[name], kinds)):
-            raise LogError(
-                f"{where}: {word} {_written(name)} is missing, though it was given before; give it in every row"
-            )
-        for name in (name for name in kinds if name not in known and not _may_lack(name, kinds[name], known)):
-            raise LogError(f"{where}: {word} {_written(name)} was not given before; give the same in every row")
+        for name, kind in {**known, **kinds}.items():
+            others = kinds if name in known else known
+            # A flag of missing values that is left out is 0 or false.
+            if name in others or (is_flag(name, others) and kind in (_NUMBER, _FRACTION, _TRUTH)):
+                continue
+            missing = "is missing, though it was given before; give it in every row"
+            what = missing if name in known else "was not given before; give the same in every row"
+            raise LogError(f"{where}: {word} {name if name.isprintable() else repr(name)} {what}")
         kinds = {**known, **kinds}
     return row, kinds
-
-
-def _may_lack(name: str, kind: str, names: Kinds) -> bool:
-    """Whether a row may lack a covariate: a flag of missing values, which is then 0 or false."""
-    return is_flag(name, names) and kind in (_NUMBER, _FRACTION, _TRUTH)
 
 
 def _common_kind(before: str | None, now: str, where: str, what: str) -> str:
@@ -344,10 +340,6 @@ def _plain_list(values: list | tuple, where: str, what: str) -> tuple[list[Any],
         raise LogError(f"{where}: {what} is not a flat list of one type; give only numbers or only text")
     common: Any = reduce(lambda one, other: _common_kind(one, other, where, what), kinds, None)
     return [plain for plain, _ in pairs], _EMPTY_LIST if common is None else f"list of {common}s"
-
-
-def _written(name: str) -> str:
-    return name if name.isprintable() else repr(name)
 
 
 def _short(value: Any) -> str:
