@@ -152,7 +152,7 @@ class Cox(Estimator):
     last_time_ : float
         The last observed end [s]; there are no data beyond it.
     tolerance_s_ : float
-        Times that differ by no more count as equal [s]; 0 if no times of the fit do.
+        Times that differ by no more count as equal [s].
 
     Examples
     --------
