@@ -3,6 +3,7 @@
 Covariates: a matrix or a table becomes a checked float64 matrix and its column names.
 """
 
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,10 @@ def _refuse_other_kinds(values: Any, name: str) -> None:
         row = int(np.argwhere(np.ma.getmaskarray(values))[0][0])
         raise ArgumentError(f"{name}, row {row}: masked; fill it in, or leave the row out knowingly")
     kind = getattr(values, "dtype", None)
+    if kind is None:
+        # Lists and Arrow arrays have no dtype of their own; a list that is ragged has none, and is refused later.
+        with suppress(ValueError):
+            kind = np.asarray(values).dtype
     if getattr(kind, "kind", "f") in "mMc":
         raise ArgumentError(f"{name} holds {kind}, not real numbers; convert it, times to seconds")
 
@@ -232,6 +237,7 @@ def _table_values(table: pd.DataFrame, names: list[str] | None) -> Float[np.ndar
         return np.ascontiguousarray(table.to_numpy(dtype=np.float64))
     columns = []
     for name in table.columns:
+        _refuse_other_kinds(table[name], f"covariates, {name}")
         try:
             columns.append(np.asarray(table[name].astype("float64")))
         except (TypeError, ValueError) as error:

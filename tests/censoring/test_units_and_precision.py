@@ -1,0 +1,43 @@
+"""Times in a unit, in single precision, or in rows of another order."""
+
+from datetime import UTC, datetime
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pytest
+
+from halfseen.censoring import Cox, KaplanMeier, KernelKaplanMeier
+from refusals import refused
+
+FINISHED = [False, True, False, True]
+TIMES_IN_A_UNIT = {
+    "list": [np.timedelta64(k, "ms") for k in (3, 5, 7, 9)],
+    "dates": [np.datetime64(k, "s") for k in (3, 5, 7, 9)],
+    "arrow": pa.array([3, 5, 7, 9], pa.duration("us")),
+    "arrow dates": pa.array([3, 5, 7, 9], pa.timestamp("us")),
+    "chunks": pa.chunked_array([pa.array([3, 5, 7, 9], pa.duration("us"))]),
+}
+
+
+@pytest.mark.parametrize("name", TIMES_IN_A_UNIT)
+def test_times_in_a_unit_of_their_own_are_no_seconds(name):
+    times = TIMES_IN_A_UNIT[name]
+    with refused("time holds (timedelta|datetime)64.*, not real numbers; convert it, times to seconds"):
+        KaplanMeier().fit(times, FINISHED)
+    with refused("u holds (timedelta|datetime)64.*, not real numbers"):
+        KaplanMeier().fit([1.0, 2.0], [False, True]).survival(times)
+
+
+@pytest.mark.parametrize("kind", ["duration[ms][pyarrow]", "timestamp[us][pyarrow]"])
+@pytest.mark.parametrize("model", [Cox(ridge=1.0), KernelKaplanMeier(bandwidth=1.0)])
+def test_a_covariate_in_a_unit_of_its_own_is_no_number(model, kind):
+    since = pd.DataFrame({"since": pd.Series(pd.array([1, 2, 4, 3], dtype="int64[pyarrow]")).astype(kind)})
+    with refused(r"covariates, since holds (duration|timestamp)\[.*, not real numbers; convert"):
+        model.fit([3.0, 5.0, 7.0, 9.0], FINISHED, since)
+
+
+def test_a_list_that_is_ragged_or_of_dates_of_python_is_refused_as_before():
+    for times in ([[1.0], [1.0, 2.0]], [datetime(2026, 1, day, tzinfo=UTC) for day in (1, 2)]):
+        with refused("time is not numeric"):
+            KaplanMeier().fit(times, [False, True])
