@@ -41,3 +41,18 @@ def test_a_list_that_is_ragged_or_of_dates_of_python_is_refused_as_before():
     for times in ([[1.0], [1.0, 2.0]], [datetime(2026, 1, day, tzinfo=UTC) for day in (1, 2)]):
         with refused("time is not numeric"):
             KaplanMeier().fit(times, [False, True])
+
+
+@pytest.mark.parametrize(
+    "single", [np.float32, lambda t: pd.Series(t, dtype="Float32"), lambda t: pd.Series(t, dtype="float32")]
+)
+@pytest.mark.parametrize("model", [KaplanMeier(), Cox(ridge=1.0), KernelKaplanMeier(bandwidth=1.0)])
+def test_the_fit_or_the_question_may_be_in_single_precision(model, single):
+    """Of 0.1, 0.2, …, some are larger in single precision and some smaller: no cut precedes itself."""
+    ticks = np.arange(1, 21)
+    is_finished, z = ticks % 3 == 0, np.sin(ticks)[:, None]
+    more = (z,) if model.uses_covariates else ()
+    whole = model.unfitted().fit(ticks, is_finished, *more).survival(ticks, *more)
+    for fitted, asked in ((np.float64, single), (single, np.float64), (single, single)):
+        found = model.unfitted().fit(fitted(0.1 * ticks), is_finished, *more).survival(asked(0.1 * ticks), *more)
+        np.testing.assert_allclose(found, whole, rtol=1e-12)

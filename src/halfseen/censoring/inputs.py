@@ -81,6 +81,19 @@ def checked_times(u: ArrayLike) -> Float[np.ndarray, "..."]:
     return times
 
 
+def precision_of(values: Any) -> float:
+    """Relative rounding of values in half or single precision; 0 in double, to which they are converted."""
+    kind = getattr(values, "dtype", None)
+    kind = getattr(kind, "numpy_dtype", kind)
+    is_short = getattr(kind, "kind", "") == "f" and getattr(kind, "itemsize", 8) < 8
+    return float(np.finfo(kind).eps) if is_short else 0.0
+
+
+def just_before(times: Float[np.ndarray, "*S"], tolerance_s: float, precision: float) -> Float[np.ndarray, "*S"]:
+    """Times less their tolerance: the larger of an absolute one [s], and a relative one."""
+    return times - np.maximum(tolerance_s, precision * np.abs(times))
+
+
 def checked_truncation(truncate_at: float | int | None) -> float | int | None:
     """Refuse a bound on the weights below 1: every weight 1/Ĝ is at least 1."""
     if truncate_at is not None and not 1.0 <= truncate_at < np.inf:
