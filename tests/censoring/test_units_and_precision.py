@@ -7,7 +7,7 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 
-from halfseen.censoring import Cox, KaplanMeier, KernelKaplanMeier
+from halfseen.censoring import Cox, KaplanMeier, KernelKaplanMeier, censoring_weights, stage_weights
 from refusals import refused
 
 FINISHED = [False, True, False, True]
@@ -56,3 +56,16 @@ def test_the_fit_or_the_question_may_be_in_single_precision(model, single):
     for fitted, asked in ((np.float64, single), (single, np.float64), (single, single)):
         found = model.unfitted().fit(fitted(0.1 * ticks), is_finished, *more).survival(asked(0.1 * ticks), *more)
         np.testing.assert_allclose(found, whole, rtol=1e-12)
+
+
+@pytest.mark.parametrize("is_fitted", [False, True])
+def test_weights_of_clocks_in_two_precisions(is_fitted):
+    """Ends in the one and stages in the other: a trajectory is not cut before it completed its stage."""
+    ticks, is_finished = np.array([2.0, 5.0, 8.0]), np.array([False, False, True])
+    elapsed = np.array([[np.nan], [2.0], [8.0]])
+    whole, of_ends = stage_weights(elapsed, ticks, is_finished), censoring_weights(ticks, is_finished)
+    model = KaplanMeier().fit(0.1 * ticks, is_finished) if is_fitted else None
+    for one, other in ((np.float32, np.float64), (np.float64, np.float32), (np.float32, np.float32)):
+        found = stage_weights(one(0.1 * elapsed), other(0.1 * ticks), is_finished, model)
+        np.testing.assert_allclose(found, whole, rtol=1e-12)
+        np.testing.assert_allclose(censoring_weights(one(0.1 * ticks), is_finished, model), of_ends, rtol=1e-12)

@@ -89,6 +89,12 @@ def precision_of(values: Any) -> float:
     return float(np.finfo(kind).eps) if is_short else 0.0
 
 
+def shortest_float(*given: Any) -> type[np.floating]:
+    """The float type of the least precise of some values, so that equal times stay equal."""
+    precision = max(map(precision_of, given))
+    return next((kind for kind in (np.float16, np.float32) if np.finfo(kind).eps == precision), np.float64)
+
+
 def just_before(times: Float[np.ndarray, "*S"], tolerance_s: float, precision: float) -> Float[np.ndarray, "*S"]:
     """Times less their tolerance: the larger of an absolute one [s], and a relative one."""
     return times - np.maximum(tolerance_s, precision * np.abs(times))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from halfseen.arrays import Rows
 from halfseen.censoring.clocks import LARGEST_ROUNDING, tied_clocks
-from halfseen.censoring.inputs import checked_ends, checked_floats, checked_truncation, rows_of
+from halfseen.censoring.inputs import checked_ends, checked_floats, checked_truncation, rows_of, shortest_float
 from halfseen.censoring.model import CensoringModel, fitted_model
 from halfseen.errors import ArgumentError, HalfseenWarning, PositivityError
 from halfseen.shapes import Float, Int
@@ -192,7 +192,8 @@ def censoring_weights(
     ends, finished = checked_ends(time, is_finished)
     model = fitted_model(model, ends, finished, covariates)
     rows = np.flatnonzero(finished)
-    seen = survival_of_rows(model, ends[rows], covariates, rows, len(ends))
+    asked = ends[rows].astype(shortest_float(time))
+    seen = survival_of_rows(model, asked, covariates, rows, len(ends))
     names = trajectory_names(trajectory_ids, len(ends))
     weights = np.zeros(len(ends))
     weights[rows] = _inverse(seen, truncate_at, lambda k: (f"trajectory {names[rows[k]]}", "finished", ends[rows[k]]))
@@ -250,11 +251,12 @@ def stage_weights(
             "so not between the trajectory's beginning and its end_s; fix the clock, or put NaN where the stage was "
             "not completed"
         )
-    ends, clock = tied_clocks(ends, clock)
+    short = shortest_float(elapsed_s, end_s)
+    ends, clock = tied_clocks(*(times.astype(short).astype(np.float64) for times in (ends, clock)))
     model = fitted_model(model, ends, finished, covariates)
     rows, columns = np.nonzero(~np.isnan(clock))
     times = clock[rows, columns]
-    seen = survival_of_rows(model, times, covariates, rows, len(ends))
+    seen = survival_of_rows(model, times.astype(short), covariates, rows, len(ends))
     weights = np.zeros(clock.shape)
     weights[rows, columns] = _inverse(
         seen, truncate_at, lambda k: (f"trajectory {names[rows[k]]}, stage {columns[k] + 1}", "completed", times[k])
