@@ -69,3 +69,32 @@ def test_weights_of_clocks_in_two_precisions(is_fitted):
         found = stage_weights(one(0.1 * elapsed), other(0.1 * ticks), is_finished, model)
         np.testing.assert_allclose(found, whole, rtol=1e-12)
         np.testing.assert_allclose(censoring_weights(one(0.1 * ticks), is_finished, model), of_ends, rtol=1e-12)
+
+
+ENDS = pd.Series([3.0, 5.0, 7.0, 9.0], index=["a", "b", "c", "d"])
+IS_FINISHED, CLUTTER = pd.Series(FINISHED, index=ENDS.index), pd.DataFrame({"z": [1.0, 2.0, 4.0, 3.0]}, ENDS.index)
+TURNED = ["b", "a", "c", "d"]
+
+
+@pytest.mark.parametrize(
+    ("asks", "told"),
+    [
+        (
+            lambda: KaplanMeier().fit(ENDS, IS_FINISHED[TURNED]),
+            "is_finished, row 0: its label is 'b', but that of time",
+        ),
+        (lambda: Cox(ridge=1.0).fit(ENDS, IS_FINISHED, CLUTTER.loc[TURNED]), "covariates, row 0: its label is 'b'"),
+        (lambda: KernelKaplanMeier().fit(ENDS, FINISHED, CLUTTER.loc[TURNED]), "covariates, row 0: its label is 'b'"),
+        (lambda: censoring_weights(ENDS[TURNED], IS_FINISHED), r"is_finished.loc\[time.index\]"),
+        (lambda: stage_weights(ENDS[TURNED].to_frame(), ENDS, FINISHED), "elapsed_s, row 0: its label is 'b'"),
+    ],
+)
+def test_rows_of_pandas_in_another_order_are_not_mixed_up(asks, told):
+    with refused(told):
+        asks()
+
+
+def test_rows_of_pandas_with_other_labels_are_matched_by_place():
+    for labels in (range(4), ["a", "a", "b", "c"], ["p", "q", "r", "s"]):
+        found = Cox(ridge=1.0).fit(ENDS, IS_FINISHED.set_axis(labels), CLUTTER.set_axis(labels))
+        assert found.coefficients_ == Cox(ridge=1.0).fit(ENDS, IS_FINISHED, CLUTTER).coefficients_

@@ -34,6 +34,7 @@ from halfseen.censoring.inputs import (
     just_before,
     precision_of,
     refuse_constant,
+    refuse_other_order,
 )
 from halfseen.censoring.kaplan_meier import CutOrder, cut_order
 from halfseen.errors import ArgumentError
@@ -202,6 +203,7 @@ class Cox(Estimator):
             so well that its coefficient is infinite.
         """
         self._check_parameters()
+        refuse_other_order(time=time, is_finished=is_finished, covariates=covariates)
         ends, finished = checked_ends(time, is_finished)
         values, names = checked_covariates(covariates, len(ends), "Cox")
         ends, self.tolerance_s_ = tied(ends)

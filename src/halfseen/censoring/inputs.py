@@ -127,6 +127,22 @@ def _checked_bools(values: ArrayLike, name: str) -> RowMask:
     return flags.astype(np.bool_)
 
 
+def refuse_other_order(**given: Any) -> None:
+    """Refuse pandas values of the same labels in different orders: rows are matched by their places."""
+    first = None
+    for name, values in given.items():
+        labels = values.index if isinstance(values, pd.Series | pd.DataFrame) else None
+        if labels is None or not labels.is_unique:
+            continue
+        first = (name, labels) if first is None else first
+        if len(labels) == len(first[1]) and not labels.equals(first[1]) and labels.isin(first[1]).all():
+            row = int(np.argmax(np.asarray(labels != first[1])))
+            raise ArgumentError(
+                f"{name}, row {row}: its label is {labels[row]!r}, but that of {first[0]} is {first[1][row]!r}; sort "
+                f"both alike, as {name}.loc[{first[0]}.index] does, or drop labels that name no trajectory"
+            )
+
+
 LARGEST = 1e75
 """Covariates of larger size, or all smaller than its inverse, over- or underflow when squared twice."""
 

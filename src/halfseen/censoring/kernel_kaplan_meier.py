@@ -30,6 +30,7 @@ from halfseen.censoring.inputs import (
     just_before,
     precision_of,
     refuse_constant,
+    refuse_other_order,
 )
 from halfseen.censoring.kaplan_meier import CutOrder, cut_order
 from halfseen.errors import ArgumentError, PositivityError
@@ -266,6 +267,7 @@ class KernelKaplanMeier(Estimator):
             invalid.
         """
         self._check_parameters()
+        refuse_other_order(time=time, is_finished=is_finished, covariates=covariates)
         ends, finished = checked_ends(time, is_finished)
         values, names = checked_covariates(covariates, len(ends), "KernelKaplanMeier")
         self._means, self._scales = values.mean(axis=0), np.ones(len(names))

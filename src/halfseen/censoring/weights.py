@@ -15,7 +15,14 @@ from numpy.typing import ArrayLike
 
 from halfseen.arrays import Rows
 from halfseen.censoring.clocks import LARGEST_ROUNDING, tied_clocks
-from halfseen.censoring.inputs import checked_ends, checked_floats, checked_truncation, rows_of, shortest_float
+from halfseen.censoring.inputs import (
+    checked_ends,
+    checked_floats,
+    checked_truncation,
+    refuse_other_order,
+    rows_of,
+    shortest_float,
+)
 from halfseen.censoring.model import CensoringModel, fitted_model
 from halfseen.errors import ArgumentError, HalfseenWarning, PositivityError
 from halfseen.shapes import Float, Int
@@ -189,6 +196,7 @@ def censoring_weights(
     ArgumentError
         A value is invalid; the message names the row.
     """
+    refuse_other_order(time=time, is_finished=is_finished, covariates=covariates)
     ends, finished = checked_ends(time, is_finished)
     model = fitted_model(model, ends, finished, covariates)
     rows = np.flatnonzero(finished)
@@ -236,6 +244,7 @@ def stage_weights(
     ArgumentError
         A value is invalid; the message names the row and the stage.
     """
+    refuse_other_order(end_s=end_s, is_finished=is_finished, elapsed_s=elapsed_s, covariates=covariates)
     ends, finished = checked_ends(end_s, is_finished, "end_s")
     clock = checked_floats(elapsed_s, "elapsed_s", ndim=2)
     names = trajectory_names(trajectory_ids, len(ends))
