@@ -19,8 +19,11 @@ def moved(origin):
     return Logs(logs.stages.assign(x1=logs.stages["x1"] + origin, probability=chance), logs.trajectories)
 
 
-def found(logs, **options):
-    one = evaluate(FixedSequence(("A", "A")), logs, against="logging", **options)
+ALWAYS_A = FixedSequence(("A", "A"))
+
+
+def found(logs, policy=ALWAYS_A, **options):
+    one = evaluate(policy, logs, against="logging", **options)
     return one.doubly_robust.value, one.fitted_q.value, one.difference.low
 
 
@@ -50,3 +53,29 @@ def test_a_constant_covariate_is_none_that_rounding_would_erase():
     same = Logs(logs.stages.assign(x1=0.1, x2=np.where(logs.stages.index % 2, 0.3, 0.1 + 0.2)), logs.trajectories)
     learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.01).fit(same)
     assert np.ptp(learner.q_values(same.stages, 1), axis=0).max() == 0.0
+
+
+class Above:
+    """A above 0 in one column, and B below."""
+
+    actions, horizon = ("A", "B"), 1
+
+    def __init__(self, column):
+        self.column = column
+
+    def probabilities(self, frame, stage):
+        is_above = frame[self.column].to_numpy() > 0
+        return np.column_stack([is_above, ~is_above]).astype(float)
+
+
+@pytest.mark.parametrize("names", [["x1*x1"], ["x1*x1", "x1*x1'"], ["x1 less its mean"]])
+@pytest.mark.parametrize("origin", [0.0, 3e8])
+def test_a_column_with_the_name_of_a_term_keeps_its_values(names, origin):
+    logs = flat_log(120, horizon=1)
+    size = np.random.default_rng(3).normal(size=(len(names), logs.num_stages))
+    stages = logs.stages.assign(x1=logs.stages["x1"] + origin, probability=0.5)
+    whole, other = (
+        found(Logs(stages.assign(**dict(zip(columns, size, strict=True))), logs.trajectories), Above(columns[0]))
+        for columns in (["size", "width"][: len(names)], names)
+    )
+    np.testing.assert_allclose(other, whole, rtol=1e-9)

@@ -151,24 +151,36 @@ def with_second_order(task: NamedActions, logs: Logs) -> tuple[NamedActions, Log
     if len(terms) * TRAJECTORIES_PER_TERM > logs.num_trajectories:
         terms = {}
     centred = _centred(fitted.looks_at, logs.stages)
-    own = [CENTRED.format(name) if CENTRED.format(name) in centred else name for name in task.covariates]
-    wider = NamedActions(task.actions, list(dict.fromkeys([*own, "stage", *terms])), fitted.categories)
-    return wider, Logs(
-        logs.stages.assign(**terms, **centred), logs.trajectories, logs.objects, reward_unit=logs.reward_unit
+    instead = dict(
+        zip(centred, _free([f"{name} less its mean" for name in centred], [*logs.stages, *terms]), strict=True)
     )
+    named = dict(zip(_free(list(terms), [*logs.stages, *instead.values()]), terms.values(), strict=True))
+    own = [instead.get(name, name) for name in task.covariates]
+    wider = NamedActions(task.actions, list(dict.fromkeys([*own, "stage", *named])), fitted.categories)
+    stages = logs.stages.assign(**named, **{instead[name]: values for name, values in centred.items()})
+    return wider, Logs(stages, logs.trajectories, logs.objects, reward_unit=logs.reward_unit)
+
+
+def _free(names: list[str], taken: list[str]) -> list[str]:
+    """Names that no column has, because a policy may look at that column."""
+    found: list[str] = []
+    for name in names:
+        while name in taken or name in found:
+            name += "'"
+        found.append(name)
+    return found
 
 
 FAR = 1e4
 """Covariates with a mean of more standard deviations than this, such as dates, are centred: a linear Q is fitted from
 their squares, which would be rounded."""
-CENTRED = "{} less its mean"
 
 
 def _centred(looks_at: Covariates, frame: pd.DataFrame) -> dict[str, np.ndarray]:
     """The numeric covariates that are far from 0, less their mean."""
     each = zip(looks_at.names, looks_at.sources, looks_at.encode(frame).T, strict=True)
     return {
-        CENTRED.format(name): values - values.mean()
+        name: values - values.mean()
         for name, source, values in each
         if source not in looks_at.categories and name != "stage" and is_far(values, FAR)
     }
