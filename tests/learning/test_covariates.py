@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import refusals
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning import CensoredQLearner, DoublyRobust, Weighted
 from halfseen.learning.covariates import (
@@ -18,7 +19,6 @@ from halfseen.learning.covariates import (
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.missing import LAST, MEDIAN
 from halfseen.policies.learner_choice import learner_for
-from refusals import refused
 from text_logs import ACTIONS, BY_HAND, COLOURS, COVARIATES, by_hand, text_log, with_indicators
 
 STATES = pd.DataFrame({"x": [0.3, -1.0, 0.0, 2.0], "colour": ["red", "blue", "green", "red"], "is_heavy": [True] * 4})
@@ -235,8 +235,8 @@ def test_the_flag_is_looked_at_where_x_is():
 
 def test_states_with_two_columns_of_a_name_or_complex_numbers_are_refused():
     looks_at, states = Covariates(("x",)), pd.DataFrame([[0.5, 1.0, 2.0]], columns=["x", "x", "y"])
-    with refused("there are two columns 'x'; drop or rename one"):
+    with refusals.refused("there are two columns 'x'; drop or rename one"):
         looks_at.encode(states)
-    with refused("covariate 'x' is not numeric"):
+    with refusals.refused("covariate 'x' is not numeric"):
         looks_at.encode(pd.DataFrame({"x": [1.0 + 2.0j]}))
     np.testing.assert_array_equal(Covariates(("y",)).encode(states), [[2.0]])
