@@ -7,8 +7,8 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 
-from halfseen.censoring import Cox, KaplanMeier, KernelKaplanMeier, censoring_weights, stage_weights
-from refusals import refused
+from halfseen.censoring import Cox, KaplanMeier, KernelKaplanMeier, censoring_weights, stage_weights, weight_diagnostics
+from refusals import refused, refused_type
 
 FINISHED = [False, True, False, True]
 TIMES_IN_A_UNIT = {
@@ -98,3 +98,21 @@ def test_rows_of_pandas_with_other_labels_are_matched_by_place():
     for labels in (range(4), ["a", "a", "b", "c"], ["p", "q", "r", "s"]):
         found = Cox(ridge=1.0).fit(ENDS, IS_FINISHED.set_axis(labels), CLUTTER.set_axis(labels))
         assert found.coefficients_ == Cox(ridge=1.0).fit(ENDS, IS_FINISHED, CLUTTER).coefficients_
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+def test_times_without_bounds(kind):
+    curve = KaplanMeier().fit([1.0, 2.0], [False, True])
+    np.testing.assert_array_equal(curve.survival(np.array([-np.inf, np.inf], kind)), [1.0, 0.5])
+
+
+@pytest.mark.parametrize("u", ["abc", ["1", "x"], [[1.0], [1.0, 2.0]]])
+def test_a_time_that_is_none_is_refused_in_a_line(u):
+    with refused_type("u is not numeric"):
+        KaplanMeier().fit([1.0, 2.0], [False, True]).survival(u)
+
+
+def test_a_single_weight_and_a_bound_in_words():
+    assert weight_diagnostics(2.0).largest_at == ()
+    with refused_type("truncate_at is '2'; weights are at least 1"):
+        censoring_weights(ENDS, FINISHED, truncate_at="2")

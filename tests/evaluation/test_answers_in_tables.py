@@ -5,8 +5,11 @@ import pandas as pd
 import pytest
 
 from halfseen.errors import ArgumentError
+from halfseen.evaluation import FixedSequence, evaluate
 from halfseen.learning.discrete_policy import checked_probabilities
 from halfseen.policies import Rule
+from refusals import refused, refused_type
+from small_logs import flat_log
 
 STATES = pd.DataFrame({"x": [0.3, -1.0, 2.0]}, index=[7, 4, 9])
 CHANCES = pd.DataFrame({"A": [0.1, 0.6, 0.3], "B": [0.9, 0.4, 0.7]}, STATES.index)
@@ -48,3 +51,10 @@ def test_an_action_with_two_columns_is_refused():
 def test_a_rule_that_sorts_its_states_is_read_by_their_labels(turned):
     rule = Rule(lambda frame, stage: turned(frame["x"].gt(0).map({True: "A", False: "B"})), ("A", "B"), 1)
     np.testing.assert_array_equal(rule.probabilities(STATES, 1), [[1, 0], [0, 1], [1, 0]])
+
+
+def test_an_answer_that_is_no_array_and_folds_that_are_no_count_are_refused_in_a_line():
+    with refused(r"Answers.probabilities, stage 1: a list is no array \(.*\); give one, \(3, 2\)"):
+        checked_probabilities(Answers([{"A": 1.0}] * 3), STATES, 1)
+    with refused_type("num_folds is 10.0; give a whole number of at least 2"):
+        evaluate(FixedSequence(("A", "A")), flat_log(), num_folds=10.0)

@@ -4,6 +4,7 @@ Covariates: a matrix or a table becomes a checked float64 matrix and its column 
 """
 
 from contextlib import suppress
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -47,14 +48,18 @@ def checked_ends(time: ArrayLike, is_finished: ArrayLike, name: str = "time") ->
 
 def checked_floats(values: ArrayLike, name: str, ndim: int = 1) -> np.ndarray:
     """`values` as float64 with `ndim` axes."""
-    _refuse_other_kinds(values, name)
-    try:
-        floats = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{name} is not numeric ({error}); give an array of floats") from error
+    floats = _floats(values, name)
     if floats.ndim != ndim:
         raise ArgumentError(f"{name} has shape {floats.shape}; give {ndim} ax{'e' if ndim > 1 else 'i'}s")
     return floats
+
+
+def _floats(values: ArrayLike, name: str) -> np.ndarray:
+    _refuse_other_kinds(values, name)
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{name} is not numeric ({error}); give an array of floats") from error
 
 
 def _refuse_other_kinds(values: Any, name: str) -> None:
@@ -73,8 +78,7 @@ def _refuse_other_kinds(values: Any, name: str) -> None:
 
 def checked_times(u: ArrayLike) -> Float[np.ndarray, "..."]:
     """Times of a query as float64; NaN is refused."""
-    _refuse_other_kinds(u, "u")
-    times = np.asarray(u, dtype=np.float64)
+    times = _floats(u, "u")
     if np.isnan(times).any():
         row = int(np.argmax(np.isnan(times.ravel())))
         raise ArgumentError(f"u, row {row}: nan is not a time; leave out the stages that were not completed")
@@ -97,14 +101,15 @@ def shortest_float(*given: Any) -> type[np.floating]:
 
 def just_before(times: Float[np.ndarray, "*S"], tolerance_s: float, precision: float) -> Float[np.ndarray, "*S"]:
     """Times less their tolerance: the larger of an absolute one [s], and a relative one."""
-    return times - np.maximum(tolerance_s, precision * np.abs(times))
+    sizes = np.where(np.isfinite(times), np.abs(times), 0.0)
+    return times - np.maximum(tolerance_s, precision * sizes)
 
 
 def checked_truncation(truncate_at: float | int | None) -> float | int | None:
     """Refuse a bound on the weights below 1: every weight 1/Ĝ is at least 1."""
-    if truncate_at is not None and not 1.0 <= truncate_at < np.inf:
+    if truncate_at is not None and not (isinstance(truncate_at, Real) and 1.0 <= float(truncate_at) < np.inf):
         raise ArgumentError(
-            f"truncate_at is {truncate_at}; weights are at least 1, so give a finite bound ≥ 1, or None"
+            f"truncate_at is {truncate_at!r}; weights are at least 1, so give a finite bound ≥ 1, or None"
         )
     return truncate_at
 

@@ -109,8 +109,9 @@ class WeightTally:
             self._squares += np.square(values).sum()
             largest = float(values.max())
             if largest > self._largest:
-                first, *others = np.unravel_index(int(values.argmax()), values.shape)
-                self._largest, self._largest_at = largest, (self._num_rows + int(first), *map(int, others))
+                place = tuple(map(int, np.unravel_index(int(values.argmax()), values.shape)))
+                # A single number has no axis.
+                self._largest, self._largest_at = largest, place and (self._num_rows + place[0], *place[1:])
             if self._bound is not None:
                 # 1/(1/bound) may miss the bound by one unit in the last place.
                 self._truncated += values[values >= self._bound * (1 - 1e-12)].sum()

@@ -61,7 +61,11 @@ def checked_probabilities(policy: NamedActionPolicy, frame: Frame, stage: int) -
     answer: Any = in_rows_of(frame, policy.probabilities(frame, stage))
     # A table with the names of the actions is read by them.
     has_names = hasattr(answer, "columns") and set(answer.columns) == set(names)
-    given, shape = np.asarray(answer[names] if has_names else answer, dtype=np.float64), (len(frame), len(names))
+    shape = (len(frame), len(names))
+    try:
+        given = np.asarray(answer[names] if has_names else answer, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{name}: a {type(answer).__name__} is no array ({error}); give one, {shape}") from error
     if given.shape != shape:
         raise ArgumentError(
             f"{name}: the shape is {given.shape}; give one row a state and one column an action: {shape}"
