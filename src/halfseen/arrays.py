@@ -170,7 +170,8 @@ def stacked(trees: list[Tree], axis: int = 0) -> Tree:
 
 def in_rows_of(frame: Any, answer: Any) -> Any:
     """Rows of an answer in the order of those of a pandas table, if it has their labels in another order."""
-    labels, asked = getattr(answer, "index", None), getattr(frame, "index", None)
+    labels: Any = getattr(answer, "index", None)
+    asked: Any = getattr(frame, "index", None)
     if not hasattr(labels, "is_unique") or asked is None or len(labels) != len(asked) or labels.equals(asked):
         return answer
     return answer.loc[asked] if labels.is_unique and asked.isin(labels).all() else answer

@@ -87,7 +87,7 @@ def checked_times(u: ArrayLike) -> Float[np.ndarray, "..."]:
 
 def precision_of(values: Any) -> float:
     """Relative rounding of values in half or single precision; 0 in double, to which they are converted."""
-    kind = getattr(values, "dtype", None)
+    kind: Any = getattr(values, "dtype", None)
     kind = getattr(kind, "numpy_dtype", kind)
     is_short = getattr(kind, "kind", "") == "f" and getattr(kind, "itemsize", 8) < 8
     return float(np.finfo(kind).eps) if is_short else 0.0
