@@ -58,3 +58,7 @@ def test_an_answer_that_is_no_array_and_folds_that_are_no_count_are_refused_in_a
         checked_probabilities(Answers([{"A": 1.0}] * 3), STATES, 1)
     with refused_type("num_folds is 10.0; give a whole number of at least 2"):
         evaluate(FixedSequence(("A", "A")), flat_log(), num_folds=10.0)
+
+
+def test_a_sequence_may_be_an_array():
+    np.testing.assert_array_equal(FixedSequence(np.array(["B", "A"])).probabilities(STATES, 1), [[1.0, 0.0]] * 3)
