@@ -168,6 +168,15 @@ def stacked(trees: list[Tree], axis: int = 0) -> Tree:
     return mapped(lambda *leaves: library_of(*leaves).stack(leaves, axis=axis), *trees)
 
 
+def in_rows_of(frame: Any, answer: Any) -> Any:
+    """Rows of an answer in the order of those of a pandas table, if it has their labels in another order."""
+    labels: Any = getattr(answer, "index", None)
+    asked: Any = getattr(frame, "index", None)
+    if not hasattr(labels, "is_unique") or asked is None or len(labels) != len(asked) or labels.equals(asked):
+        return answer
+    return answer.loc[asked] if labels.is_unique and asked.isin(labels).all() else answer
+
+
 def expit(log_odds: Float[Any, "*S"]) -> Float[Any, "*S"]:
     """1 / (1 + e⁻ˣ), without overflow."""
     return 0.5 + 0.5 * library_of(log_odds).tanh(0.5 * log_odds)

@@ -271,3 +271,15 @@ def test_times_that_differ_stay_apart(time):
 def test_trajectories_that_all_take_as_long():
     time = np.array([0.3, 0.1 + 0.2, 0.3, 0.1 + 0.2])
     assert censoring_weights(time, [False, True, True, False]).max() == 1.0
+
+
+def test_a_time_asked_about_may_be_added_up_where_no_time_of_the_fit_was():
+    fits = (
+        KaplanMeier().fit([0.3, 0.7], [False, True]),
+        Cox(ridge=1.0).fit([0.3, 0.7], [False, True], [[0.0], [1.0]]),
+        KernelKaplanMeier(bandwidth=1.0).fit([0.3, 0.7], [False, True], [[0.0], [1.0]]),
+    )
+    for curve in fits:
+        known = [[0.0]] if curve.uses_covariates else None
+        assert curve.survival([0.1 + 0.2], known) == [1.0]
+        assert curve.survival([0.3001], known) < 1.0

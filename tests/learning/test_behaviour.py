@@ -168,3 +168,15 @@ def test_what_cannot_be_lowered_ends(value):
 def test_without_pessimism_there_is_nothing_to_waive():
     learner = CensoredQLearner(1, ["A", "B"], ["x"], pessimism=0.0).fit(logs_of(True))
     assert learner.policy_.behaviour is None
+
+
+@pytest.mark.parametrize("same", [0.1, 0.7, 1 / 3])
+def test_what_never_differed_says_nothing_where_it_does(same):
+    """The mean of 1,000 equal numbers may be off by a rounding, which is no deviation."""
+    num = 1001
+    features = np.full((num, 2, 1), same)
+    features[0] += 1.0
+    taken = (np.random.default_rng(num).random(num) < 0.5).astype(int)
+    weight, allowed = (np.arange(num) > 0).astype(float), np.ones((num, 2), dtype=bool)
+    found = conditional_logit(features, allowed, taken, np.arange(2), weight)
+    np.testing.assert_allclose(found[0], found[1], atol=1e-6)

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import refusals
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning import CensoredQLearner, DoublyRobust, Weighted
 from halfseen.learning.covariates import (
@@ -230,3 +231,12 @@ def test_the_flag_is_looked_at_where_x_is():
     learner = learner_for(logs, covariates=["x"]).learner
     assert isinstance(learner, CensoredQLearner)
     assert list(learner.covariates) == ["x", "x_missing"]
+
+
+def test_states_with_two_columns_of_a_name_or_complex_numbers_are_refused():
+    looks_at, states = Covariates(("x",)), pd.DataFrame([[0.5, 1.0, 2.0]], columns=["x", "x", "y"])
+    with refusals.refused("there are two columns 'x'; drop or rename one"):
+        looks_at.encode(states)
+    with refusals.refused("covariate 'x' is not numeric"):
+        looks_at.encode(pd.DataFrame({"x": [1.0 + 2.0j]}))
+    np.testing.assert_array_equal(Covariates(("y",)).encode(states), [[2.0]])

@@ -134,3 +134,11 @@ def test_what_is_not_there_is_refused(logs):
         logs.stage_values("rewards")
     with refused("'action' holds no numbers", LogError):
         logs.stage_values("action")
+
+
+@pytest.mark.parametrize("mask", [np.array([True, False, True]), [True, False, True], pd.array([True, False, True])])
+def test_a_mask_is_no_list_of_names_one_and_zero(mask):
+    logs = Logs(**small_tables())
+    with pytest.raises(LogError, match=r"select takes names of trajectories, not a mask; give trajectory_ids\[mask\]"):
+        logs.select(mask)
+    assert logs.select(logs.trajectory_ids[np.array(mask, dtype=bool)]).trajectory_ids.tolist() == [1, 3]

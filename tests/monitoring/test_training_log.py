@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from halfseen.evaluation import FixedSequence
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.monitoring.training_log import ALPHA, FEWEST, changes_in, farthest_apart
@@ -111,3 +112,17 @@ def test_a_change_near_an_end_is_told_where_some_are_left_on_both_sides(policy, 
     told = [each for each in changes_in(Logs(stages, logs.trajectories), policy) if each.words.startswith("x in")]
     assert told[0].since == since
     assert told[0].since_low <= since <= told[0].since_high
+
+
+def test_a_clock_whose_ticks_were_added_up_tells_of_cuts_what_whole_ticks_tell():
+    rng, num = np.random.default_rng(0), 240
+    ticks = rng.integers(1, 6, num).astype(float)
+    is_cut = rng.random(num) < np.where(np.arange(num) >= 120, 0.6, 0.3)
+    found = []
+    for end_s in (ticks, ticks + 1e-12 * rng.normal(size=num)):
+        one = {"trajectory": np.arange(num), "end_s": end_s, "ending": np.where(is_cut, "cut", "finished")}
+        done = {"elapsed_s": np.where(is_cut, np.nan, end_s), "reward": np.where(is_cut, np.nan, 1.0)}
+        logs = Logs(pd.DataFrame({"trajectory": np.arange(num), "stage": 1, "action": "A"} | done), pd.DataFrame(one))
+        found.append([(change.p_value, change.since_low) for change in changes_in(logs, FixedSequence(("A",)))])
+    assert found[0]
+    assert found[0] == found[1]

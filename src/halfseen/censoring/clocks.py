@@ -55,11 +55,11 @@ def clock_tolerance_s(time: Rows) -> float:
 
 
 def tied(time: Rows) -> tuple[Rows, float]:
-    """Replace times that count as equal by the earliest of them; also return the tolerance [s], 0 without ties."""
+    """Replace times that count as equal by the earliest of them; also return the tolerance [s]."""
     tolerance_s = clock_tolerance_s(time)
     distinct, place = np.unique(time, return_inverse=True)
     is_first = np.append(True, np.diff(distinct) > tolerance_s)
-    return distinct[is_first][np.cumsum(is_first) - 1][place], 0.0 if is_first.all() else tolerance_s
+    return distinct[is_first][np.cumsum(is_first) - 1][place], tolerance_s
 
 
 def tied_clocks(end_s: Rows, elapsed_s: Float[np.ndarray, "n T"]) -> tuple[Rows, Float[np.ndarray, "n T"]]:

@@ -27,7 +27,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from halfseen.censoring.clocks import tied
-from halfseen.censoring.inputs import checked_covariates, checked_ends, checked_question, refuse_constant
+from halfseen.censoring.inputs import (
+    checked_covariates,
+    checked_ends,
+    checked_question,
+    just_before,
+    precision_of,
+    refuse_constant,
+    refuse_other_order,
+)
 from halfseen.censoring.kaplan_meier import CutOrder, cut_order
 from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator
@@ -152,7 +160,7 @@ class Cox(Estimator):
     last_time_ : float
         The last observed end [s]; there are no data beyond it.
     tolerance_s_ : float
-        Times that differ by no more count as equal [s]; 0 if no times of the fit do.
+        Times that differ by no more count as equal [s].
 
     Examples
     --------
@@ -178,6 +186,7 @@ class Cox(Estimator):
     num_cut_: int
     last_time_: float
     tolerance_s_: float
+    _precision: float = 0.0
 
     def __init__(self, ties: Literal["efron", "breslow"] = "efron", ridge: float | int = 0.0) -> None:
         self.ties = ties
@@ -194,9 +203,11 @@ class Cox(Estimator):
             so well that its coefficient is infinite.
         """
         self._check_parameters()
+        refuse_other_order(time=time, is_finished=is_finished, covariates=covariates)
         ends, finished = checked_ends(time, is_finished)
         values, names = checked_covariates(covariates, len(ends), "Cox")
         ends, self.tolerance_s_ = tied(ends)
+        self._precision = precision_of(time)
         trajectories = cut_order(ends, finished)
         means, scales = values.mean(axis=0), values.std(axis=0)
         if len(trajectories.times):
@@ -236,7 +247,8 @@ class Cox(Estimator):
         times, values = checked_question(u, covariates, "Cox", self.covariates_)
         scores = (values - self.means_) @ self.coefficients_
         levels = np.concatenate(([0.0], self.cumulative_hazard_))
-        hazard = levels[np.searchsorted(self.times_, times - self.tolerance_s_, side="left")]
+        before = just_before(times, self.tolerance_s_, max(self._precision, precision_of(u)))
+        hazard = levels[np.searchsorted(self.times_, before, side="left")]
         # The hazard ratio of an extreme row would overflow; before all cuts its survival must still be 1.
         ratio = np.exp(np.minimum(scores, 700.0)).reshape((-1,) + (1,) * max(times.ndim - 1, 0))
         with np.errstate(over="ignore"):

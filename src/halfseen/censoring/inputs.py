@@ -3,6 +3,8 @@
 Covariates: a matrix or a table becomes a checked float64 matrix and its column names.
 """
 
+from contextlib import suppress
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -46,14 +48,18 @@ def checked_ends(time: ArrayLike, is_finished: ArrayLike, name: str = "time") ->
 
 def checked_floats(values: ArrayLike, name: str, ndim: int = 1) -> np.ndarray:
     """`values` as float64 with `ndim` axes."""
-    _refuse_other_kinds(values, name)
-    try:
-        floats = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{name} is not numeric ({error}); give an array of floats") from error
+    floats = _floats(values, name)
     if floats.ndim != ndim:
         raise ArgumentError(f"{name} has shape {floats.shape}; give {ndim} ax{'e' if ndim > 1 else 'i'}s")
     return floats
+
+
+def _floats(values: ArrayLike, name: str) -> np.ndarray:
+    _refuse_other_kinds(values, name)
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{name} is not numeric ({error}); give an array of floats") from error
 
 
 def _refuse_other_kinds(values: Any, name: str) -> None:
@@ -62,25 +68,48 @@ def _refuse_other_kinds(values: Any, name: str) -> None:
         row = int(np.argwhere(np.ma.getmaskarray(values))[0][0])
         raise ArgumentError(f"{name}, row {row}: masked; fill it in, or leave the row out knowingly")
     kind = getattr(values, "dtype", None)
+    if kind is None:
+        # Lists and Arrow arrays have no dtype of their own; a list that is ragged has none, and is refused later.
+        with suppress(ValueError):
+            kind = np.asarray(values).dtype
     if getattr(kind, "kind", "f") in "mMc":
         raise ArgumentError(f"{name} holds {kind}, not real numbers; convert it, times to seconds")
 
 
 def checked_times(u: ArrayLike) -> Float[np.ndarray, "..."]:
     """Times of a query as float64; NaN is refused."""
-    _refuse_other_kinds(u, "u")
-    times = np.asarray(u, dtype=np.float64)
+    times = _floats(u, "u")
     if np.isnan(times).any():
         row = int(np.argmax(np.isnan(times.ravel())))
         raise ArgumentError(f"u, row {row}: nan is not a time; leave out the stages that were not completed")
     return times
 
 
+def precision_of(values: Any) -> float:
+    """Relative rounding of values in half or single precision; 0 in double, to which they are converted."""
+    kind: Any = getattr(values, "dtype", None)
+    kind = getattr(kind, "numpy_dtype", kind)
+    is_short = getattr(kind, "kind", "") == "f" and getattr(kind, "itemsize", 8) < 8
+    return float(np.finfo(kind).eps) if is_short else 0.0
+
+
+def shortest_float(*given: Any) -> type[np.floating]:
+    """The float type of the least precise of some values, so that equal times stay equal."""
+    precision = max(map(precision_of, given))
+    return next((kind for kind in (np.float16, np.float32) if np.finfo(kind).eps == precision), np.float64)
+
+
+def just_before(times: Float[np.ndarray, "*S"], tolerance_s: float, precision: float) -> Float[np.ndarray, "*S"]:
+    """Times less their tolerance: the larger of an absolute one [s], and a relative one."""
+    sizes = np.where(np.isfinite(times), np.abs(times), 0.0)
+    return times - np.maximum(tolerance_s, precision * sizes)
+
+
 def checked_truncation(truncate_at: float | int | None) -> float | int | None:
     """Refuse a bound on the weights below 1: every weight 1/Ĝ is at least 1."""
-    if truncate_at is not None and not 1.0 <= truncate_at < np.inf:
+    if truncate_at is not None and not (isinstance(truncate_at, Real) and 1.0 <= float(truncate_at) < np.inf):
         raise ArgumentError(
-            f"truncate_at is {truncate_at}; weights are at least 1, so give a finite bound ≥ 1, or None"
+            f"truncate_at is {truncate_at!r}; weights are at least 1, so give a finite bound ≥ 1, or None"
         )
     return truncate_at
 
@@ -101,6 +130,22 @@ def _checked_bools(values: ArrayLike, name: str) -> RowMask:
             f"{name}, row {row}: {value!r} is neither True nor False; give True where finished and False where cut"
         )
     return flags.astype(np.bool_)
+
+
+def refuse_other_order(**given: Any) -> None:
+    """Refuse pandas values of the same labels in different orders: rows are matched by their places."""
+    first = None
+    for name, values in given.items():
+        labels = values.index if isinstance(values, pd.Series | pd.DataFrame) else None
+        if labels is None or not labels.is_unique:
+            continue
+        first = (name, labels) if first is None else first
+        if len(labels) == len(first[1]) and not labels.equals(first[1]) and labels.isin(first[1]).all():
+            row = int(np.argmax(np.asarray(labels != first[1])))
+            raise ArgumentError(
+                f"{name}, row {row}: its label is {labels[row]!r}, but that of {first[0]} is {first[1][row]!r}; sort "
+                f"both alike, as {name}.loc[{first[0]}.index] does, or drop labels that name no trajectory"
+            )
 
 
 LARGEST = 1e75
@@ -232,6 +277,7 @@ def _table_values(table: pd.DataFrame, names: list[str] | None) -> Float[np.ndar
         return np.ascontiguousarray(table.to_numpy(dtype=np.float64))
     columns = []
     for name in table.columns:
+        _refuse_other_kinds(table[name], f"covariates, {name}")
         try:
             columns.append(np.asarray(table[name].astype("float64")))
         except (TypeError, ValueError) as error:

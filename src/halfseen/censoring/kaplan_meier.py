@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.clocks import tied
-from halfseen.censoring.inputs import checked_ends, checked_times
+from halfseen.censoring.inputs import checked_ends, checked_times, just_before, precision_of, refuse_other_order
 from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator
 from halfseen.shapes import Float, Int
@@ -78,7 +78,7 @@ class KaplanMeier(Estimator):
     last_time_ : float
         The last observed end [s]; there are no data beyond it.
     tolerance_s_ : float
-        Times that differ by no more count as equal [s]; 0 if no times of the fit do.
+        Times that differ by no more count as equal [s].
 
     Examples
     --------
@@ -94,6 +94,7 @@ class KaplanMeier(Estimator):
     num_cut_: int
     last_time_: float
     tolerance_s_: float
+    _precision: float = 0.0
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: object = None) -> "KaplanMeier":
         """Fit the curve; parameters as in `CensoringModel.fit`, but covariates, which have no effect, are refused.
@@ -104,8 +105,10 @@ class KaplanMeier(Estimator):
             A time is not finite and positive, the lengths differ, or covariates were given.
         """
         _refuse_covariates(covariates)
+        refuse_other_order(time=time, is_finished=is_finished)
         ends, finished = checked_ends(time, is_finished)
         ends, self.tolerance_s_ = tied(ends)
+        self._precision = precision_of(time)
         order = cut_order(ends, finished)
         num_watched = len(ends) - order.first
         self.times_, self.survival_ = order.times, np.cumprod((num_watched - order.num_cuts) / num_watched)
@@ -129,7 +132,8 @@ class KaplanMeier(Estimator):
         # Searching in sorted order is several times faster than random access in a long curve.
         order = np.argsort(times, axis=None)
         seen = np.empty(times.size)
-        seen[order] = levels[np.searchsorted(self.times_, times.ravel()[order] - self.tolerance_s_, side="left")]
+        before = just_before(times.ravel()[order], self.tolerance_s_, max(self._precision, precision_of(u)))
+        seen[order] = levels[np.searchsorted(self.times_, before, side="left")]
         return seen.reshape(times.shape)
 
 

@@ -23,7 +23,15 @@ from numpy.typing import ArrayLike
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.clocks import tied
-from halfseen.censoring.inputs import checked_covariates, checked_ends, checked_question, refuse_constant
+from halfseen.censoring.inputs import (
+    checked_covariates,
+    checked_ends,
+    checked_question,
+    just_before,
+    precision_of,
+    refuse_constant,
+    refuse_other_order,
+)
 from halfseen.censoring.kaplan_meier import CutOrder, cut_order
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.estimator import Estimator
@@ -211,7 +219,7 @@ class KernelKaplanMeier(Estimator):
     last_time_ : float
         The last observed end [s]; there are no data beyond it.
     tolerance_s_ : float
-        Times that differ by no more count as equal [s]; 0 if no times of the fit do.
+        Times that differ by no more count as equal [s].
 
     Notes
     -----
@@ -235,6 +243,7 @@ class KernelKaplanMeier(Estimator):
     num_cut_: int
     last_time_: float
     tolerance_s_: float
+    _precision: float = 0.0
 
     def __init__(
         self,
@@ -258,6 +267,7 @@ class KernelKaplanMeier(Estimator):
             invalid.
         """
         self._check_parameters()
+        refuse_other_order(time=time, is_finished=is_finished, covariates=covariates)
         ends, finished = checked_ends(time, is_finished)
         values, names = checked_covariates(covariates, len(ends), "KernelKaplanMeier")
         self._means, self._scales = values.mean(axis=0), np.ones(len(names))
@@ -266,6 +276,7 @@ class KernelKaplanMeier(Estimator):
             self._scales = values.std(axis=0)
         scaled = (values - self._means) / self._scales
         ends, self.tolerance_s_ = tied(ends)
+        self._precision = precision_of(time)
         self.cv_scores_ = self._scores(ends, finished, scaled)
         self.bandwidth_ = self._chosen()
         self._curve = LocalCurve.of_trajectories(ends, finished, scaled)
@@ -289,7 +300,8 @@ class KernelKaplanMeier(Estimator):
         times, values = checked_question(u, covariates, "KernelKaplanMeier", self.covariates_)
         scaled = (values - self._means) / self._scales
         per_row = times.reshape(len(scaled), -1) if times.size else np.empty((len(scaled), 0))
-        seen = self._curve.survival(per_row - self.tolerance_s_, scaled, self.bandwidth_, self.kernel)
+        before = just_before(per_row, self.tolerance_s_, max(self._precision, precision_of(u)))
+        seen = self._curve.survival(before, scaled, self.bandwidth_, self.kernel)
         wrong = np.argwhere(np.isnan(seen))
         if len(wrong):
             row, column = wrong[0]

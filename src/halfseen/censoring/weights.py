@@ -15,7 +15,14 @@ from numpy.typing import ArrayLike
 
 from halfseen.arrays import Rows
 from halfseen.censoring.clocks import LARGEST_ROUNDING, tied_clocks
-from halfseen.censoring.inputs import checked_ends, checked_floats, checked_truncation, rows_of
+from halfseen.censoring.inputs import (
+    checked_ends,
+    checked_floats,
+    checked_truncation,
+    refuse_other_order,
+    rows_of,
+    shortest_float,
+)
 from halfseen.censoring.model import CensoringModel, fitted_model
 from halfseen.errors import ArgumentError, HalfseenWarning, PositivityError
 from halfseen.shapes import Float, Int
@@ -102,8 +109,9 @@ class WeightTally:
             self._squares += np.square(values).sum()
             largest = float(values.max())
             if largest > self._largest:
-                first, *others = np.unravel_index(int(values.argmax()), values.shape)
-                self._largest, self._largest_at = largest, (self._num_rows + int(first), *map(int, others))
+                place = tuple(map(int, np.unravel_index(int(values.argmax()), values.shape)))
+                # A single number has no axis.
+                self._largest, self._largest_at = largest, place and (self._num_rows + place[0], *place[1:])
             if self._bound is not None:
                 # 1/(1/bound) may miss the bound by one unit in the last place.
                 self._truncated += values[values >= self._bound * (1 - 1e-12)].sum()
@@ -189,10 +197,12 @@ def censoring_weights(
     ArgumentError
         A value is invalid; the message names the row.
     """
+    refuse_other_order(time=time, is_finished=is_finished, covariates=covariates)
     ends, finished = checked_ends(time, is_finished)
     model = fitted_model(model, ends, finished, covariates)
     rows = np.flatnonzero(finished)
-    seen = survival_of_rows(model, ends[rows], covariates, rows, len(ends))
+    asked = ends[rows].astype(shortest_float(time))
+    seen = survival_of_rows(model, asked, covariates, rows, len(ends))
     names = trajectory_names(trajectory_ids, len(ends))
     weights = np.zeros(len(ends))
     weights[rows] = _inverse(seen, truncate_at, lambda k: (f"trajectory {names[rows[k]]}", "finished", ends[rows[k]]))
@@ -235,6 +245,7 @@ def stage_weights(
     ArgumentError
         A value is invalid; the message names the row and the stage.
     """
+    refuse_other_order(end_s=end_s, is_finished=is_finished, elapsed_s=elapsed_s, covariates=covariates)
     ends, finished = checked_ends(end_s, is_finished, "end_s")
     clock = checked_floats(elapsed_s, "elapsed_s", ndim=2)
     names = trajectory_names(trajectory_ids, len(ends))
@@ -250,11 +261,12 @@ def stage_weights(
             "so not between the trajectory's beginning and its end_s; fix the clock, or put NaN where the stage was "
             "not completed"
         )
-    ends, clock = tied_clocks(ends, clock)
+    short = shortest_float(elapsed_s, end_s)
+    ends, clock = tied_clocks(*(times.astype(short).astype(np.float64) for times in (ends, clock)))
     model = fitted_model(model, ends, finished, covariates)
     rows, columns = np.nonzero(~np.isnan(clock))
     times = clock[rows, columns]
-    seen = survival_of_rows(model, times, covariates, rows, len(ends))
+    seen = survival_of_rows(model, times.astype(short), covariates, rows, len(ends))
     weights = np.zeros(clock.shape)
     weights[rows, columns] = _inverse(
         seen, truncate_at, lambda k: (f"trajectory {names[rows[k]]}, stage {columns[k] + 1}", "completed", times[k])

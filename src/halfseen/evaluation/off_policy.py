@@ -14,7 +14,7 @@ import numpy as np
 
 from halfseen.censoring import CensoringModel
 from halfseen.errors import ArgumentError
-from halfseen.estimator import check_seed
+from halfseen.estimator import check_seed, is_count
 from halfseen.evaluation.comparison import Contender, compared, deciding, joint_reason, share_of
 from halfseen.evaluation.estimate import around, check_level, estimate_of
 from halfseen.evaluation.evaluation import Evaluation, per_hour
@@ -316,8 +316,8 @@ def judging(
     check_seed(random_state)
     if propensity not in get_args(Propensity):
         raise ArgumentError(f"propensity is {propensity!r}; give 'logged' or 'estimated'")
-    if num_folds < 2:
-        raise ArgumentError(f"num_folds is {num_folds}; give at least 2")
+    if not is_count(num_folds) or num_folds < 2:
+        raise ArgumentError(f"num_folds is {num_folds!r}; give a whole number of at least 2")
     if logs.num_trajectories < 2 * num_folds:
         raise ArgumentError(
             f"the log has {logs.num_trajectories} trajectories, but {num_folds} folds need {2 * num_folds}; record more"

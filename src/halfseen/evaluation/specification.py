@@ -21,6 +21,7 @@ from halfseen.learning.discrete_policy import NamedActionPolicy
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import CrossValidation, QSpace, StageMode, q_space_of, reg_of, stage_mode_of
+from halfseen.learning.rows import is_far
 from halfseen.learning.targets import DoublyRobust, Targets, Weighted, named_targets
 from halfseen.learning.task import Task, named_task
 from halfseen.logs import Logs
@@ -149,9 +150,40 @@ def with_second_order(task: NamedActions, logs: Logs) -> tuple[NamedActions, Log
     terms = _terms(fitted.looks_at, logs.stages) if has_few else {}
     if len(terms) * TRAJECTORIES_PER_TERM > logs.num_trajectories:
         terms = {}
-    names = list(dict.fromkeys([*task.covariates, "stage", *terms]))
-    wider = NamedActions(task.actions, names, fitted.categories)
-    return wider, Logs(logs.stages.assign(**terms), logs.trajectories, logs.objects, reward_unit=logs.reward_unit)
+    centred = _centred(fitted.looks_at, logs.stages)
+    instead = dict(
+        zip(centred, _free([f"{name} less its mean" for name in centred], [*logs.stages, *terms]), strict=True)
+    )
+    named = dict(zip(_free(list(terms), [*logs.stages, *instead.values()]), terms.values(), strict=True))
+    own = [instead.get(name, name) for name in task.covariates]
+    wider = NamedActions(task.actions, list(dict.fromkeys([*own, "stage", *named])), fitted.categories)
+    stages = logs.stages.assign(**named, **{instead[name]: values for name, values in centred.items()})
+    return wider, Logs(stages, logs.trajectories, logs.objects, reward_unit=logs.reward_unit)
+
+
+def _free(names: list[str], taken: list[str]) -> list[str]:
+    """Names that no column has, because a policy may look at that column."""
+    found: list[str] = []
+    for name in names:
+        while name in taken or name in found:
+            name += "'"
+        found.append(name)
+    return found
+
+
+FAR = 1e4
+"""Covariates with a mean of more standard deviations than this, such as dates, are centred: a linear Q is fitted from
+their squares, which would be rounded."""
+
+
+def _centred(looks_at: Covariates, frame: pd.DataFrame) -> dict[str, np.ndarray]:
+    """The numeric covariates that are far from 0, less their mean."""
+    each = zip(looks_at.names, looks_at.sources, looks_at.encode(frame).T, strict=True)
+    return {
+        name: values - values.mean()
+        for name, source, values in each
+        if source not in looks_at.categories and name != "stage" and is_far(values, FAR)
+    }
 
 
 def _terms(looks_at: Covariates, frame: pd.DataFrame) -> dict[str, np.ndarray]:

@@ -50,7 +50,7 @@ class FixedSequence:
     sequence: tuple[Hashable, ...]
 
     def __post_init__(self) -> None:
-        if isinstance(self.sequence, str) or not self.sequence:
+        if isinstance(self.sequence, str) or len(self.sequence) == 0:
             raise ArgumentError(f"sequence is {self.sequence!r}; give a tuple of names, one for each stage")
 
     @property

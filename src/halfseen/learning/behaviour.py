@@ -135,9 +135,9 @@ def fit_choice(
 
 
 def mean_and_scale(features: Float[np.ndarray, "rows F"]) -> tuple[Float[np.ndarray, " F"], Float[np.ndarray, " F"]]:
-    """Mean and standard deviation of each feature; 1 instead of a deviation of 0."""
+    """Mean and standard deviation of each feature; 1 instead of a deviation of 0, or of rounding in the mean."""
     mean, spread = features.mean(axis=0), features.std(axis=0)
-    return mean, np.where(spread > 0, spread, 1.0)
+    return mean, np.where((spread > 0) & (features != features[:1]).any(axis=0), spread, 1.0)
 
 
 def unscaled(

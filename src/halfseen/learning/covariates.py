@@ -79,6 +79,10 @@ class Covariates:
         if missing:
             there = ", ".join(map(str, frame.columns)) + did_you_mean(missing[0], frame.columns)
             raise LogError(f"covariate {missing[0]!r} is missing; the columns are {there}")
+        if not frame.columns.is_unique:
+            twice = next((name for name in frame.columns[frame.columns.duplicated()] if name in self.columns), None)
+            if twice is not None:
+                raise LogError(f"there are two columns {twice!r}; drop or rename one")
         numeric = [name for name in self.columns if name not in self.categories]
         numbers = _numbers(frame, numeric)
         if len(numeric) == len(self.columns):
@@ -175,10 +179,10 @@ def _numbers(frame: Frame, columns: list[str]) -> Float[np.ndarray, "m F"]:
 
 
 def is_numeric(frame: Frame, column: str) -> bool:
-    """Whether a column holds numbers."""
-    from pandas.api.types import is_numeric_dtype
+    """Whether a column holds real numbers."""
+    from pandas.api.types import is_complex_dtype, is_numeric_dtype
 
-    return is_numeric_dtype(frame[column].dtype)
+    return is_numeric_dtype(frame[column].dtype) and not is_complex_dtype(frame[column].dtype)
 
 
 def kind_of(frame: Frame, column: str) -> str | None:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
+from halfseen.arrays import in_rows_of
 from halfseen.errors import ArgumentError
 from halfseen.estimator import is_count
 from halfseen.lazy import Frame
@@ -51,10 +52,20 @@ def checked_probabilities(policy: NamedActionPolicy, frame: Frame, stage: int) -
     Raises
     ------
     ArgumentError
-        The shape is wrong, or the probabilities of a row are negative or do not add up to 1.
+        An action is named twice, the shape is wrong, or the probabilities of a row are negative or do not add up to 1.
     """
-    given, shape = np.asarray(policy.probabilities(frame, stage), dtype=np.float64), (len(frame), len(policy.actions))
-    name = f"{type(policy).__name__}.probabilities, stage {stage}"
+    names, name = list(policy.actions), f"{type(policy).__name__}.probabilities, stage {stage}"
+    twice = next((each for each in names if names.count(each) > 1), None)
+    if twice is not None:
+        raise ArgumentError(f"{type(policy).__name__}.actions names {twice!r} twice; give each action one column")
+    answer: Any = in_rows_of(frame, policy.probabilities(frame, stage))
+    # A table with the names of the actions is read by them.
+    has_names = hasattr(answer, "columns") and set(answer.columns) == set(names)
+    shape = (len(frame), len(names))
+    try:
+        given = np.asarray(answer[names] if has_names else answer, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{name}: a {type(answer).__name__} is no array ({error}); give one, {shape}") from error
     if given.shape != shape:
         raise ArgumentError(
             f"{name}: the shape is {given.shape}; give one row a state and one column an action: {shape}"

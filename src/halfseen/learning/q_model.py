@@ -32,6 +32,7 @@ from halfseen.learning.rows import (
     TrajectoryArrays,
     Transitions,
     refuse_all_cut,
+    refuse_far,
     refuse_too_few,
     refuse_vanishing,
     support_of,
@@ -139,6 +140,8 @@ class QModel:
         refuse_vanishing(trajectories.reward[trajectories.is_completed])
         model = self._with_affordable_space(trajectories.features.shape[-1])
         taken = trajectories.encoded.taken[trajectories.is_completed]
+        if isinstance(model.space, LinearQ) and type(self.task) is NamedActions:
+            refuse_far(taken, self.task.looks_at.names)
         model = replace(model, kernel_map=model.space.features(taken, self.random_state))
         if self.pessimism == 0 or self.has_many_actions:
             return model

@@ -263,6 +263,27 @@ def refuse_vanishing(reward: Float[np.ndarray, " m"]) -> None:
         )
 
 
+LARGEST_MEAN, LEAST_RANGE = 3e5, 1e-12
+"""Mean in standard deviations from which on the sums of a linear Q lose a feature (`ridge.RANK_TOLERANCE`); and range
+relative to the mean below which values differ by rounding alone."""
+
+
+def is_far(values: Float[np.ndarray, " m"], most: float | int = LARGEST_MEAN) -> bool:
+    """Whether values that differ have a mean of more standard deviations than `most`."""
+    mean = abs(float(np.mean(values))) if len(values) else 0.0
+    return bool(len(values) and np.ptp(values) > LEAST_RANGE * mean and np.std(values) * most < mean)
+
+
+def refuse_far(values: Float[np.ndarray, "m F"], names: tuple[str, ...]) -> None:
+    """Refuse covariates of a linear Q that are so far from 0 that their squares leave nothing of their differences."""
+    for name, column in zip(names, values.T, strict=True):
+        if is_far(column):
+            raise LogError(
+                f"covariate {name!r} is about {np.mean(column):.3g} and differs by {np.std(column):.2g}, which "
+                "rounding would erase from a linear Q; subtract its common part, or choose q_function 'quadratic'"
+            )
+
+
 def refuse_too_few(num_seen: int, num_trajectories: int) -> None:
     """Refuse cross-validation if fewer than two trajectories completed a stage."""
     if num_seen < 2:

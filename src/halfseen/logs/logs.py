@@ -269,14 +269,14 @@ class Logs:
         Raises
         ------
         LogError
-            A name is unknown, or no name is given.
+            A name is unknown, no name is given, or it is a mask.
         """
         wanted = pd.Index(trajectories)
+        if pd.api.types.is_bool_dtype(wanted.dtype):
+            raise LogError("select takes names of trajectories, not a mask; give trajectory_ids[mask]")
         unknown = wanted[~wanted.isin(self.trajectory_ids)]
         if len(unknown):
-            raise LogError(
-                f"trajectory {shown(unknown[0])}: the log has no such trajectory; choose among trajectory_ids"
-            )
+            raise LogError(f"trajectory {shown(unknown[0])}: the log has no such trajectory; see trajectory_ids")
         kept: Any = {name: table[pd.Index(table["trajectory"]).isin(wanted)] for name, table in self.tables.items()}
         return Logs(**kept, reward_unit=self.reward_unit, missing=self.missing)
 

@@ -160,7 +160,7 @@ def _summed(left: Float[np.ndarray, " m"], place: Int[np.ndarray, " m"], num: in
 def _cuts(logs: Logs) -> WatchedValue:
     """Whether each was cut, minus the cumulative hazard of cuts until its end; the mean is 0 for any duration."""
     curve = KaplanMeier().fit(logs.end_s, logs.is_finished)
-    before, left = (curve.survival(ends) for ends in (logs.end_s, np.nextafter(logs.end_s, np.inf)))
+    before, left = (curve.survival(logs.end_s + late_s) for late_s in (0.0, 2.0 * curve.tolerance_s_))
     scores = ~logs.is_finished + np.log(np.where(left > 0, left, before))
     more = partial(_more, scores, np.arange(len(scores)))
     return WatchedValue(scores, lambda at: f"cuts are {'more' if more(at) > 0 else 'less'} frequent than before")

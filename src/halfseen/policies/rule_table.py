@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 from pandas.api.types import is_numeric_dtype
 
+from halfseen.arrays import in_rows_of
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import STAGE_COLUMNS
 from halfseen.shapes import Bool, Float
@@ -239,7 +240,7 @@ class Rule:
         ArgumentError
             The function does not return one of the actions for each row.
         """
-        taken = np.asarray(self.decide(frame, stage), dtype=object)
+        taken = np.asarray(in_rows_of(frame, self.decide(frame, stage)), dtype=object)
         if taken.shape != (len(frame),):
             raise ArgumentError(
                 f"the rule gave shape {taken.shape} for {len(frame)} rows; give one action for each row"
