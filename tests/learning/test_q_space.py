@@ -172,6 +172,13 @@ def test_of_many_stages_a_default_smooth_q_proves_itself_beside_a_linear_one(
         np.testing.assert_array_equal(found.policy_.coefficients, plain.policy_.coefficients)
 
 
+def test_a_date_that_a_linear_q_cannot_hold_keeps_the_smooth_one(monkeypatch):
+    dated = LOG.stages.assign(x1=1.7e9 + 1e3 * LOG.stages["x1"])
+    monkeypatch.setattr(promise, "MANY_STAGES", 2)
+    found = learner().fit(Logs(dated, LOG.trajectories))
+    assert isinstance(found.model_.space, KernelQ)
+
+
 def test_the_held_out_lead_is_that_of_least_squares_stage_by_stage():
     """Oracle: backwards, V of the given policy by least squares for each stage and action, on the other half."""
     plain = flat_log(num_trajectories=400, cut_after_s=1e9)

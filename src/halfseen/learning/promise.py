@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from halfseen.errors import LogError
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.learning.judging import judged
 from halfseen.learning.q_model import QModel
@@ -55,7 +56,11 @@ def believable(learn: Callable[[QModel], Fit], model: QModel, logs: Logs | LogSt
     policy = smooth.model.policy(smooth.q_functions)
     if not is_doubted or model.horizon < MANY_STAGES or not isinstance(policy, DiscretePolicy):
         return smooth
-    some, linear = _sample(logs, model.random_state), learn(replace(model, space=LinearQ()))
+    try:
+        linear = learn(replace(model, space=LinearQ()))
+    except LogError:  # a covariate that only a scaled Q can hold (`rows.refuse_far`)
+        return smooth
+    some = _sample(logs, model.random_state)
     hope, less = too_hopeful(policy, some), ""
     if hope and not too_hopeful(linear.model.policy(linear.q_functions), some):
         less = f"Q is linear: a smooth Q promises {hope}"
