@@ -134,6 +134,18 @@ def test_more_decisions_than_a_trajectory_may_have_are_refused(team):
     refuses(f"trajectory 0, stage 1: {told}", lambda logs: states_of(logs, 10), many)
 
 
+def test_clocks_counts_and_places_that_contradict_each_other_are_refused(team):
+    """An action is not older than its trajectory (milliseconds), decisions count down, and an object is near itself."""
+    stages, objects = team.stages, team.objects
+    others = {
+        "0_since_s is .*, longer than the trajectory by then": ({"0_since_s": stages["0_since_s"] * 1000.0}, {}),
+        "1_decisions_to_go is 9, no less than at its decision before": ({"1_decisions_to_go": 9}, {}),
+        "near lacks the object itself": ({}, {"near": [np.zeros(0, dtype=np.int64)] * len(objects)}),
+    }
+    for told, (of_stages, of_objects) in others.items():
+        refuses(told, check_log, Logs(stages.assign(**of_stages), team.trajectories, objects.assign(**of_objects)))
+
+
 def test_two_robots_at_one_object_are_refused(frail):
     both = changed(frail, **{"1_does": "WASH 1", "2_does": "LIFT 1"})
     refuses(
