@@ -6,7 +6,7 @@ import pyarrow as pa
 import pytest
 
 from fitted_laws import FITTED
-from halfseen.errors import LogError
+from halfseen.errors import HalfseenWarning, LogError
 from halfseen.logs import Logs
 from halfseen.tables import agent_view, attempts
 from halfseen.tables.present import logged_dirty_share
@@ -67,6 +67,17 @@ def refuses(told, read, logs):
 def test_a_broken_object_is_named(alone, column, value, told):
     place = "trajectory 0, stage 1, object 0: "
     refuses(place + told, lambda logs: states_of(changed(logs, "objects", **{column: value}), 10), alone)
+
+
+def test_hidden_shares_of_whom_an_object_hides_are_told_from_those_of_who_hides_it(alone):
+    """One object cannot hide more than all together, as a transposed list says."""
+    checked_tables(alone)
+    stacked = [np.stack(each.to_list()).T for _, each in alone.objects.groupby(["trajectory", "stage"])["hidden_by"]]
+    swapped = alone.objects.assign(hidden_by=[row.tolist() for each in stacked for row in each])
+    with pytest.warns(
+        HalfseenWarning, match=r"^trajectory \d+, stage \d+, object \d+: one object alone hides .* transpose"
+    ):
+        checked_tables(Logs(alone.stages, alone.trajectories, swapped))
 
 
 def test_an_object_that_vanishes_is_named(alone):

@@ -3,14 +3,24 @@
 For the columns see `halfseen.world.logs`.
 """
 
+import warnings
 from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
 
-from halfseen.errors import LogError
+from halfseen.errors import HalfseenWarning, LogError
 from halfseen.logs import Logs, LogStream
-from halfseen.logs.columns import ROBOT, as_floats, refuse, require_columns, robots_that_may_drop_out, shown, value_at
+from halfseen.logs.columns import (
+    ROBOT,
+    as_floats,
+    place,
+    refuse,
+    require_columns,
+    robots_that_may_drop_out,
+    shown,
+    value_at,
+)
 from halfseen.shapes import Bool, Float
 from halfseen.world.actions import TARGETED, Verb
 from halfseen.world.log_rows import FREE, IDLE, NOTHING, OF_OBJECT, TableLog
@@ -28,6 +38,8 @@ ATTEMPT_BY = "attempt_by"
 """Column of the robots that made the past attempts at an object; older logs lack it."""
 CLOCK_TOLERANCE = 1e-3
 """Tolerance of times that are the same up to rounding [s], and relative."""
+CLEARLY_HIDDEN, MOST_ODD, ENOUGH_ROWS = 0.1, 0.5, 20
+"""Hidden shares that differ by this contradict each other; memories of a robot may, in up to this share of the rows."""
 _LISTS = ("hidden_by", "attempt_occlusions", "attempt_succeeded")
 _NEEDED = ("location", "occlusion", "log_odds", "lifts", *_LISTS)
 _NEEDED_OF_ROBOT = ("does", "since_s", "decisions_to_go")
@@ -124,6 +136,7 @@ def checked_tables(logs: Logs, horizon: int | None = None, *, is_team: bool | No
     _check_stages(log)
     _check_whereabouts(log)
     _check_objects(log)
+    _warn_of_hiders(log)
     if is_team or (is_team is None and log.num_robots):
         _check_robots_there(log)
         _check_doings(log, horizon)
@@ -186,6 +199,25 @@ def _check_objects(log: TableLog) -> None:
     refuse(frame, differs, trouble, OF_OBJECT)
     for column, is_wrong, trouble in _OF_ENTRIES:
         log.refuse_objects(column, lists[column].rows_with(is_wrong(lists[column].values)), trouble)
+
+
+def _warn_of_hiders(log: TableLog) -> None:
+    """Warn where hidden shares contradict occlusions: what one object alone hides, all hide together."""
+    frame, hidden_by = log.objects, log.lists("hidden_by")
+    is_there = (frame["location"] == TABLE).to_numpy(dtype=bool)
+    alone = np.where(is_there[log.first[hidden_by.row] + hidden_by.place], hidden_by.values, 0.0)
+    most = np.maximum.reduceat(alone, np.cumsum(hidden_by.lengths) - hidden_by.lengths) if len(alone) else alone
+    is_hidden = is_there & (most > CLEARLY_HIDDEN)
+    is_odd = is_hidden & (most > as_floats("objects", frame, "occlusion").to_numpy() + CLEARLY_HIDDEN)
+    if is_odd.sum() > MOST_ODD * max(is_hidden.sum(), ENOUGH_ROWS):
+        row = int(np.argmax(is_odd))
+        warnings.warn(
+            f"{place(frame, row, OF_OBJECT)}: one object alone hides {most[row]:.2f} of it by hidden_by, but its "
+            f"occlusion is {value_at(frame, 'occlusion', row):.2f}, as in {is_odd.sum()} of {is_hidden.sum()} rows; "
+            "hidden_by lists who hides the object, not whom it hides: transpose it, or fix occlusion",
+            HalfseenWarning,
+            stacklevel=2,
+        )
 
 
 def _check_robots_there(log: TableLog) -> None:
