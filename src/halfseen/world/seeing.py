@@ -168,11 +168,11 @@ class AssumedSeeing:
     power: Number = 1.5
 
     def __post_init__(self) -> None:
-        numbers = (self.floor, self.floor + self.gain, self.power)
         # Under a JAX transformation, a number may be a tracer without a value.
-        if not all(isinstance(number, (int, float)) for number in numbers):
+        if not all(isinstance(number, (int, float)) for number in (self.floor, self.gain, self.power)):
             return
-        if not (0.0 <= numbers[0] <= 1.0 and 0.0 <= numbers[1] <= 1.0 and 0.0 <= self.power < np.inf):
+        chances = (self.floor, self.floor + self.gain)
+        if not (all(0.0 <= chance <= 1.0 for chance in chances) and 0.0 <= self.power < np.inf):
             raise ArgumentError(
                 f"floor is {self.floor}, gain {self.gain} and power {self.power}; give floor and floor + gain in "
                 "[0, 1], the probabilities that a label is right, and a power of 0 or above"
