@@ -3,7 +3,6 @@
 import hashlib
 import io
 import struct
-from contextlib import nullcontext
 from pathlib import Path
 
 import lzf
@@ -13,8 +12,8 @@ from jaxtyping import TypeCheckError
 from plyfile import PlyData, PlyElement
 from pypcd4 import Encoding, PointCloud
 
-from drawn_tables import Can, K, draw
-from halfseen.errors import CloudError, HalfseenWarning
+from drawn_tables import K
+from halfseen.errors import CloudError
 from halfseen.perception import Cloud, read_cloud, write_pcd
 from refusals import refused
 
@@ -101,17 +100,6 @@ def test_npz_depth_without_return(tmp_path, empty):
     image = cloud.points_m.reshape(ROWS, COLUMNS, 3)
     assert np.isnan(image[1, 2]).all()
     np.testing.assert_allclose(image[3, 4], [(4 - K[0, 2]) / K[0, 0] * 2, (3 - K[1, 2]) / K[1, 1] * 2, 2.0])
-
-
-def test_a_matrix_of_another_resolution_is_warned_of(tmp_path):
-    """Every other pixel with the matrix of all of them makes cups of half their size; a cut-out image has its own."""
-    drawn = draw(Can(0.0, 0.0))
-    told = r"table.npz: the centre of K is \(159.5, 119.5\) px, as of an image of 240 rows by 320, but depth_m has 120"
-    for step, cut in ((1, np.s_[40:, 60:300]), (2, np.s_[:, :])):
-        matrix = K - np.array([[0.0, 0.0, 60.0], [0.0, 0.0, 40.0], [0.0, 0.0, 0.0]]) if step == 1 else K
-        np.savez(tmp_path / "table.npz", depth_m=drawn.depth_m[::step, ::step][cut], K=matrix)
-        with nullcontext() if step == 1 else pytest.warns(HalfseenWarning, match=told):
-            assert read_cloud(tmp_path / "table.npz").num_returns
 
 
 @pytest.mark.parametrize("has_colours", [True, False])

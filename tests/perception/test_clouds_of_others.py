@@ -1,5 +1,6 @@
 """Clouds as others record them: cropped, thinned, in other axes; and things in view that are not on the table."""
 
+from contextlib import nullcontext
 from functools import partial
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from drawn_tables import EYE_M, TABLE_HALF_M, Can, K, camera_point, draw, hit_box, hit_can, hit_room, rays
-from halfseen.errors import CloudError
+from halfseen.errors import CloudError, HalfseenWarning
 from halfseen.perception import Cloud, View, perceive, read_cloud
 from halfseen.perception.picture import sentence
 from halfseen.perception.tracking import matched
@@ -189,3 +190,14 @@ def test_a_tray_is_an_object_of_its_own_that_hides_little_of_what_stands_on_it(h
     np.testing.assert_allclose([seen.height_m - height_m for seen in cans], [0.09, 0.11], atol=0.003)
     foot = 0.06 + 5.0 * height_m
     assert all(0.0 <= seen.occlusion - true <= foot for seen, true in zip(cans, truth, strict=True))
+
+
+def test_a_matrix_of_another_resolution_is_warned_of(tmp_path):
+    """Every other pixel with the matrix of all of them makes cups of half their size; a cut-out image has its own."""
+    drawn = draw(Can(0.0, 0.0))
+    told = r"table.npz: the centre of K is \(159.5, 119.5\) px, as of an image of 240 rows by 320, but depth_m has 120"
+    for step, cut in ((1, np.s_[40:, 60:300]), (2, np.s_[:, :])):
+        matrix = K - np.array([[0.0, 0.0, 60.0], [0.0, 0.0, 40.0], [0.0, 0.0, 0.0]]) if step == 1 else K
+        np.savez(tmp_path / "table.npz", depth_m=drawn.depth_m[::step, ::step][cut], K=matrix)
+        with nullcontext() if step == 1 else pytest.warns(HalfseenWarning, match=told):
+            assert read_cloud(tmp_path / "table.npz").num_returns
