@@ -126,11 +126,11 @@ def boxes_cloud(boxes_m=BOXES_M):
     across = EYE_M[:2] + depth[..., None] * way[..., :2]
     depth[(np.abs(across) > TABLE_HALF_M).any(axis=-1)] = np.inf
     for box in boxes_m:
-        depth = np.minimum(depth, _hit(np.array(box), way))
+        depth = np.minimum(depth, hit_box(np.array(box), way))
     return Cloud.from_depth(np.where(np.isfinite(depth), depth, np.nan), K, "boxes")
 
 
-def _hit(box, way):
+def hit_box(box, way):
     """Depth at which each ray enters a box; infinite where it does not."""
     turn = np.array([[np.cos(TURN_RAD), np.sin(TURN_RAD)], [-np.sin(TURN_RAD), np.cos(TURN_RAD)]])
     start = np.append(turn @ (EYE_M[:2] - box[:2]), EYE_M[2])

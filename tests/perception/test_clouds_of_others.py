@@ -1,13 +1,14 @@
 """Clouds as others record them: cropped, thinned, in other axes; and things in view that are not on the table."""
 
+from contextlib import nullcontext
 from functools import partial
 
 import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from drawn_tables import EYE_M, TABLE_HALF_M, Can, K, camera_point, draw, hit_can, hit_room, rays
-from halfseen.errors import CloudError
+from drawn_tables import EYE_M, TABLE_HALF_M, Can, K, camera_point, draw, hit_box, hit_can, hit_room, rays
+from halfseen.errors import CloudError, HalfseenWarning
 from halfseen.perception import Cloud, View, perceive, read_cloud
 from halfseen.perception.picture import sentence
 from halfseen.perception.tracking import matched
@@ -171,3 +172,32 @@ def test_cans_stand_on_the_table_and_arms_grippers_and_what_they_hold_do_not(sta
     view = perceive(Cloud.from_depth(np.where(np.isfinite(depth), depth, np.nan), K, "arm"))
     found = sorted(int(np.bincount(labels.ravel()[one.pixels] + 1).argmax()) - 1 for one in view.objects)
     assert found == list(range(len(standing)))
+
+
+@pytest.mark.parametrize("height_m", [0.011, 0.02, 0.03])
+def test_a_tray_is_an_object_of_its_own_that_hides_little_of_what_stands_on_it(height_m):
+    """A tray of 40 by 36 cm hides nothing, but cups are taken to reach the table: it hides their foot, no more."""
+    way, lifted = rays(), EYE_M - [0.0, 0.0, height_m]
+    eye, on_tray = (np.broadcast_to(each, way.shape) for each in (EYE_M, lifted))
+    tray = hit_box(np.array([0.0, 0.02, 0.20, 0.18, height_m]), way)
+    alone = np.stack([hit_can(can, on_tray, way) for can in PAIR])
+    depth = np.minimum.reduce([hit_room(eye, way, False, 1.4), tray, *alone])
+    view = perceive(Cloud.from_depth(depth + 0.001 * np.random.default_rng(0).standard_normal(depth.shape), K, "tray"))
+    assert len(view.objects) == 3
+    low, *cans = sorted(view.objects, key=lambda seen: (seen.height_m > 0.05, seen.solid.middle_m[1]))
+    truth = [0.0, np.mean(alone[0][np.isfinite(alone[1])] < alone[1][np.isfinite(alone[1])])]
+    assert low.height_m == pytest.approx(height_m, abs=0.004)
+    np.testing.assert_allclose([seen.height_m - height_m for seen in cans], [0.09, 0.11], atol=0.003)
+    foot = 0.06 + 5.0 * height_m
+    assert all(0.0 <= seen.occlusion - true <= foot for seen, true in zip(cans, truth, strict=True))
+
+
+def test_a_matrix_of_another_resolution_is_warned_of(tmp_path):
+    """Every other pixel with the matrix of all of them makes cups of half their size; a cut-out image has its own."""
+    drawn = draw(Can(0.0, 0.0))
+    told = r"table.npz: the centre of K is \(159.5, 119.5\) px, as of an image of 240 rows by 320, but depth_m has 120"
+    for step, cut in ((1, np.s_[40:, 60:300]), (2, np.s_[:, :])):
+        matrix = K - np.array([[0.0, 0.0, 60.0], [0.0, 0.0, 40.0], [0.0, 0.0, 0.0]]) if step == 1 else K
+        np.savez(tmp_path / "table.npz", depth_m=drawn.depth_m[::step, ::step][cut], K=matrix)
+        with nullcontext() if step == 1 else pytest.warns(HalfseenWarning, match=told):
+            assert read_cloud(tmp_path / "table.npz").num_returns

@@ -247,6 +247,17 @@ def test_one_colour_in_any_light_has_no_stain():
         assert not StainCounter().is_stained(np.rint(light * glaze).astype(np.uint8)).any()
 
 
+@pytest.mark.parametrize(
+    "of", [lambda colours: colours.mean(axis=1), lambda _: 0, lambda _: 255], ids=["grey", "0", "255"]
+)
+def test_a_picture_without_colour_tells_nothing(seen, of):
+    picture, view = seen
+    colours = np.zeros_like(picture.cloud.colours)
+    colours.T[:] = of(picture.cloud.colours)
+    labels = StainCounter()(view, replace(picture.cloud, colours=colours))
+    assert {label.is_dirty for label in labels} == {None}
+
+
 ROWS = [{"object": 2, "label": "unknown"}, {"object": 0, "label": "dirty", "share_in_view": 0.25}]
 ROWS += [{"object": 1, "label": "clean"}]
 TOLD = (Label(True, 0.25), Label(False), Label(None))

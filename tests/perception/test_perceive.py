@@ -10,7 +10,7 @@ from scipy.spatial import ConvexHull
 from scores import Scores
 from skimage.draw import polygon2mask
 
-from drawn_tables import DOWN_RAD, EYE_M, TABLE_FROM_CAMERA, Can, Drawn, camera_point, draw
+from drawn_tables import DOWN_RAD, EYE_M, TABLE_FROM_CAMERA, Can, Drawn, K, camera_point, draw
 from halfseen.errors import CloudError
 from halfseen.perception import Cloud, View, perceive, read_cloud
 from halfseen.perception.occlusion import convex_pixels
@@ -171,6 +171,11 @@ def test_distances_that_no_camera_measures_and_a_pinhole_that_is_none_are_refuse
     for focal_px in (1e-9, 1e12):
         with pytest.raises(CloudError, match="they are pixels, from 1 to 1e"):
             Cloud(np.ones((4, 3)), (2, 2), np.diag([focal_px, focal_px, 1.0]))
+    skewed = K.copy()
+    skewed[0, 1] = 30.0
+    for matrix in (K.T, skewed, 2.0 * K):
+        with pytest.raises(CloudError, match="its rows must be fx 0 cx, 0 fy cy and 0 0 1: transpose it if columns"):
+            Cloud.from_depth(np.ones((4, 3)), matrix)
 
 
 @pytest.mark.parametrize(

@@ -291,6 +291,18 @@ def test_with_one_label_that_is_all_there_is_and_a_sure_grasp_the_bound_by_looks
     assert bound.value == pytest.approx(solve_table(table, config, 1, num_grip_nodes=1).value, abs=1e-12)
 
 
+SURE = WorldConfig(grasping=AssumedGrasping(limit_s=1e6))
+
+
+def test_grasps_that_never_fail_are_worth_what_brute_force_finds():
+    assert solve_table(TWO, SURE, 2).value == pytest.approx(BruteForce(SURE, Scene(TWO), 7).value(2), abs=1e-9)
+
+
+def test_the_bound_by_looks_of_labels_that_never_err_washes_every_dirty_cup():
+    known = replace(SURE, seeing=AssumedSeeing(gain=0.5))
+    assert information_relaxation_bound([[0.0]], known, 2, num_grip_nodes=7).value == pytest.approx(0.6 * 5)
+
+
 def test_the_more_grip_offsets_the_nearer_is_the_world_whose_offsets_are_normal():
     values = [solve_table(TWO, CONFIG, 5, num_nodes).value for num_nodes in (3, 7, 15, 31, 63)]
 

@@ -43,6 +43,7 @@ ONE_TIME = GridGrasping(held_s=(1.0,), held_share=(1.0,), limit_s=3.0)
         (team_of(1, grasping=FEW), TWO, workspace(2, 2)),
         (team_of(1, grasping=FEW, reward_per_s=-0.3), TWO, workspace(2, 2)),
         (team_of(1, grasping=FEW, speed=(1.0, 2.0), reward_per_s=-0.2), TWO, workspace(2, 2)),
+        (team_of(1, grasping=replace(FEW, base=AssumedGrasping(limit_s=1e6))), TWO, workspace(2, 2)),
         (team_of(1, grasping=FEW, reward_per_s=-0.1), THREE, workspace(2, 3, out_of_reach=[(0, 2)], near=[(0, 1)])),
         pytest.param(
             team_of(2, grasping=ONE_TIME, reward_per_s=-0.3),
@@ -51,7 +52,7 @@ ONE_TIME = GridGrasping(held_s=(1.0,), held_share=(1.0,), limit_s=3.0)
             marks=pytest.mark.slow,
         ),
     ],
-    ids=["at no price", "at a price", "of two speeds", "three objects", "two decisions of each"],
+    ids=["at no price", "at a price", "of two speeds", "surely", "three objects", "two decisions of each"],
 )
 def test_two_robots_are_worth_what_brute_force_finds(config, hides, space):
     brute = BruteForceTeam(config, hides, space.is_in_reach, space.is_near, hermite(config, 2))

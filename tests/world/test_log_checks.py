@@ -6,7 +6,7 @@ import pyarrow as pa
 import pytest
 
 from fitted_laws import FITTED
-from halfseen.errors import LogError
+from halfseen.errors import HalfseenWarning, LogError
 from halfseen.logs import Logs
 from halfseen.tables import agent_view, attempts
 from halfseen.tables.present import logged_dirty_share
@@ -67,6 +67,17 @@ def refuses(told, read, logs):
 def test_a_broken_object_is_named(alone, column, value, told):
     place = "trajectory 0, stage 1, object 0: "
     refuses(place + told, lambda logs: states_of(changed(logs, "objects", **{column: value}), 10), alone)
+
+
+def test_hidden_shares_of_whom_an_object_hides_are_told_from_those_of_who_hides_it(alone):
+    """One object cannot hide more than all together, as a transposed list says."""
+    checked_tables(alone)
+    stacked = [np.stack(each.to_list()).T for _, each in alone.objects.groupby(["trajectory", "stage"])["hidden_by"]]
+    swapped = alone.objects.assign(hidden_by=[row.tolist() for each in stacked for row in each])
+    with pytest.warns(
+        HalfseenWarning, match=r"^trajectory \d+, stage \d+, object \d+: one object alone hides .* transpose"
+    ):
+        checked_tables(Logs(alone.stages, alone.trajectories, swapped))
 
 
 def test_an_object_that_vanishes_is_named(alone):
@@ -132,6 +143,18 @@ def test_more_decisions_than_a_trajectory_may_have_are_refused(team):
     told = "1_decisions_to_go is 1000000000, more than horizon=10 decisions of all robots together; raise horizon"
     many = changed(team, **{"1_decisions_to_go": 10**9})
     refuses(f"trajectory 0, stage 1: {told}", lambda logs: states_of(logs, 10), many)
+
+
+def test_clocks_counts_and_places_that_contradict_each_other_are_refused(team):
+    """An action is not older than its trajectory (milliseconds), decisions count down, and an object is near itself."""
+    stages, objects = team.stages, team.objects
+    others = {
+        "0_since_s is .*, longer than the trajectory by then": ({"0_since_s": stages["0_since_s"] * 1000.0}, {}),
+        "1_decisions_to_go is 9, no less than at its decision before": ({"1_decisions_to_go": 9}, {}),
+        "near lacks the object itself": ({}, {"near": [np.zeros(0, dtype=np.int64)] * len(objects)}),
+    }
+    for told, (of_stages, of_objects) in others.items():
+        refuses(told, check_log, Logs(stages.assign(**of_stages), team.trajectories, objects.assign(**of_objects)))
 
 
 def test_two_robots_at_one_object_are_refused(frail):

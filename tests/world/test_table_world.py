@@ -103,6 +103,14 @@ def learned(num_decisions):
             ArgumentError,
             "episodes is 1.5; give a whole number",
         ),
+        *(
+            (
+                lambda share=share: TableWorld(WorldConfig(dirty_share=share)).simulate(SCENES, UniformPolicy(), 1, 0),
+                ArgumentError,
+                f"dirty_share is {share}, whose log-odds no log can hold; give one between 0 and 1",
+            )
+            for share in (0.0, 1.0)
+        ),
         (lambda: WORLD.simulate(SCENES, None, 1, 0), ArgumentError, "policy is a NoneType; give one that decides"),
         (lambda: WORLD.simulate(SCENES, UniformPolicy(), 1, -1), ArgumentError, "seed is -1; give a whole number"),
         (lambda: WorldConfig(horizon=0), ArgumentError, "horizon is 0; give a whole number of actions"),

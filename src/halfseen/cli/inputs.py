@@ -197,7 +197,8 @@ def perceived(file: Path) -> "tuple[Cloud, View]":
     view = perceive(cloud)
     if not view.objects:
         cut = f" except {view.num_cut} cut by the image border" if view.num_cut else ""
-        raise CloudError(f"{file}: no objects on the table{cut}; bring the whole table with its objects into view")
+        remedy = "bring the whole table with its objects into view, upright in the image"
+        raise CloudError(f"{file}: no objects on the table{cut}; {remedy}")
     return cloud, view
 
 

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from halfseen.errors import CloudError
+from halfseen.arrays import Intrinsics
+from halfseen.errors import CloudError, warn
 from halfseen.perception.clouds import Cloud, Colours, check_intrinsics, check_num_points, is_rotation
 from halfseen.perception.frames import FRAME_COMMENT, OWN, Viewpoint, camera_of
 from halfseen.perception.pcd import read_pcd
@@ -50,12 +51,32 @@ def read_npz(path: Path) -> Cloud:
             f"{path}: depth_m is {depth.dtype} of shape {depth.shape}; it must be an image of floats in metres"
         )
     check_num_points(depth.size, str(path))
+    _warn_of_scale(K.astype(np.float64), depth.shape, path)
     if picture is not None and (picture.shape != (*depth.shape, 3) or picture.dtype != np.uint8):
         raise CloudError(
             f"{path}: rgb is {picture.dtype} of shape {picture.shape}; it must be uint8 of shape {(*depth.shape, 3)}, "
             "a colour for each pixel of depth_m: register it to the depth image, or leave it out"
         )
     return Cloud.from_depth(depth.astype(np.float64), K.astype(np.float64), path.name, picture)
+
+
+# Images are scaled alike along both axes, to this share, by this factor at least; captures are larger than this [px].
+SAME_RATIO, LEAST_SCALE, SMALLEST_SIDE_PX = 0.08, 1.4, 64
+
+
+def _warn_of_scale(K: Intrinsics, shape: tuple[int, ...], path: Path) -> None:
+    """Warn of a pinhole matrix whose centre is that of an image of another size: it is of another resolution."""
+    size_px = 2.0 * K[[1, 0], 2] + 1.0
+    scale = size_px / shape
+    low, high = scale.min(), scale.max()
+    is_scaled = low > 0.0 and high < low * (1.0 + SAME_RATIO) and max(high, 1.0 / low) > LEAST_SCALE
+    if is_scaled and min(shape) >= SMALLEST_SIDE_PX:
+        warn(
+            path,
+            f"the centre of K is ({K[0, 2]:g}, {K[1, 2]:g}) px, as of an image of {size_px[0]:.0f} rows by "
+            f"{size_px[1]:.0f}, but depth_m has {shape[0]} by {shape[1]}; scale K as the image was scaled, unless "
+            "depth_m is cut out of a larger one",
+        )
 
 
 # A header has a few dozen lines.

@@ -11,6 +11,8 @@ from halfseen.shapes import Float, Shaped, UInt8
 
 # Largest median distance and largest distance of points from the camera [m].
 LARGEST_MEDIAN_DISTANCE_M, LARGEST_DISTANCE_M = 50.0, 1000.0
+# Largest skew of a pinhole camera, as a share of the focal length.
+LARGEST_SKEW = 0.02
 # Largest entry of a pinhole matrix; images are a few thousand pixels wide [px].
 LARGEST_INTRINSIC_PX = 1e6
 
@@ -262,13 +264,19 @@ def check_intrinsics(K: Shaped[np.ndarray, "..."], name: str) -> None:
     Raises
     ------
     CloudError
-        The matrix is not 3 by 3 and finite, or its focal lengths are not positive.
+        The matrix is not that of a pinhole: 3 by 3 and finite, with positive focal lengths and without skew.
     """
     if K.shape != (3, 3) or K.dtype.kind not in "fiu" or not np.isfinite(K).all():
         raise CloudError(f"{name}: the pinhole matrix K is {K.tolist()}; it must be 3 by 3 and finite, in pixels")
     if K[0, 0] <= 0 or K[1, 1] <= 0:
         raise CloudError(f"{name}: K has focal lengths {K[0, 0]} and {K[1, 1]} px; they must be positive")
     K = K.astype(np.float64)
+    beside = np.abs(K[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]] - [0.0, 0.0, 0.0, 0.0, 1.0])
+    if (beside > LARGEST_SKEW * np.array([K[0, 0], 1.0, 1.0, 1.0, 1.0])).any():
+        raise CloudError(
+            f"{name}: K is {K.tolist()}; its rows must be fx 0 cx, 0 fy cy and 0 0 1: transpose it if columns are, and "
+            "rectify an image whose pixels are skewed"
+        )
     focal, centre = K[[0, 1], [0, 1]], np.abs(K[[0, 1], [2, 2]])
     if focal.min() < 1.0 or max(focal.max(), centre.max()) > LARGEST_INTRINSIC_PX:
         raise CloudError(

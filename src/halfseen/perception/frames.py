@@ -16,15 +16,13 @@ from scipy.spatial.transform import Rotation as Turn
 
 from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import CloudError
-from halfseen.perception.clouds import Rotation, Vector, returned
+from halfseen.perception.clouds import LARGEST_SKEW, Rotation, Vector, returned
 from halfseen.shapes import Float, Int
 
 # Largest distance between a point and its pixel's ray that still counts as a pinhole image [px].
 LARGEST_REPROJECTION_PX = 2.0
 # Fewest returns from which a camera can be estimated [points], and the number used if a sample is enough.
 FEWEST_RETURNS, NUM_ASKED = 200, 4000
-# Largest skew of a pinhole camera, as a share of the focal length.
-LARGEST_SKEW = 0.02
 
 Pixels = Float[np.ndarray, "n 2"]
 

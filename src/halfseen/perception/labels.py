@@ -58,6 +58,8 @@ def pixel_colours(image: RangeImage, cloud: Cloud) -> Picture:
 FACING_SHARE = 0.3
 # Added to a channel before the logarithm, so that the noise of dark pixels does not look like colour.
 _NOISE = 6.0
+# A picture with fewer pixels whose channels differ by more than this is grey, or was never filled in; it tells nothing.
+_GREY, _LEAST_COLOURED = 1, 0.01
 
 WORDS = {True: "dirty", False: "clean", None: "unknown"}
 
@@ -142,7 +144,11 @@ class StainCounter:
     def __call__(self, view: View, cloud: Cloud) -> tuple[Label, ...]:
         """Label each object of a view from its colours."""
         picture = pixel_colours(view.image, cloud).reshape(-1, 3)
-        return tuple(self._label(seen, picture[seen.pixels], view.image) for seen in view.objects)
+        labels = tuple(self._label(seen, picture[seen.pixels], view.image) for seen in view.objects)
+        apart = np.ptp(picture[view.image.is_return.ravel()].astype(np.int16), axis=1)
+        if np.mean(apart > _GREY) > _LEAST_COLOURED:
+            return labels
+        return tuple(replace(label, is_dirty=None) for label in labels)
 
     def _label(self, seen: SeenObject, colours: UInt8[np.ndarray, "px 3"], image: RangeImage) -> Label:
         num_stained = int(self.is_stained(colours).sum())

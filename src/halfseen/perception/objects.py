@@ -71,7 +71,7 @@ def sheets_on_table(image: RangeImage, plane: Plane) -> Labels:
     height_m = plane.height_m(image.points_m)
     on_table = np.flatnonzero(is_on_plane(height_m, image))
     _check_width(image, on_table)
-    sheets = _continuous(image, _above(image, height_m))
+    sheets = _off_trays(_continuous(image, _above(image, height_m)), height_m, plane, image)
     hull = _table_outline(image, plane, on_table)
     if hull is None:
         return sheets
@@ -151,6 +151,26 @@ def _largest_first(labels: Int[np.ndarray, " above"], fewest_px: int) -> Int[np.
     table = np.full(len(counts), -1)
     table[kept] = np.arange(len(kept))
     return table[labels]
+
+
+# A level surface of this area [m²], at most so high over the table [m], is a tray; its points lie within this [m].
+TRAY_M2, HIGHEST_TRAY_M, TRAY_BAND_M = 0.03, 0.04, 0.005
+
+
+def _off_trays(sheets: Labels, height_m: Image, plane: Plane, image: RangeImage) -> Labels:
+    """Separate things from the tray that they stand on: surfaces meet there, but the tray does not hide them."""
+    apart = sheets.copy()
+    for pixels in pixels_of(sheets):
+        heights, cells = height_m.ravel()[pixels], plane.across_m(image.points_m.reshape(-1, 3)[pixels])
+        cells = np.floor(cells / TABLE_CELL_M).astype(np.int64) @ [1, 1 << 20]
+        tops_m = np.arange(LOWEST_OBJECT_M, HIGHEST_TRAY_M, TRAY_BAND_M / 2)
+        if len(np.unique(cells)) * TABLE_CELL_M**2 < TRAY_M2:
+            continue
+        num_cells = [len(np.unique(cells[np.abs(heights - top_m) < TRAY_BAND_M])) for top_m in tops_m]
+        if max(num_cells) * TABLE_CELL_M**2 >= TRAY_M2:
+            on_top = _continuous(image, pixels[heights > tops_m[int(np.argmax(num_cells))] + TRAY_BAND_M])
+            apart[on_top >= 0] = apart.max() + 1 + on_top[on_top >= 0]
+    return apart
 
 
 def _table_outline(image: RangeImage, plane: Plane, on_table: Pixels) -> Float[np.ndarray, "edges 3"] | None:

@@ -267,7 +267,8 @@ class GridWorld:
         missed, caught = np.exp(log_failure), -np.expm1(log_failure)
         counts = np.array(failures)[:, None], np.array(successes)[:, None]
         likelihood = self.grip_prior * np.prod(missed ** counts[0] * caught ** counts[1], axis=0)
-        grip = likelihood / likelihood.sum()
+        # A past that the law rules out is never reached, but its value must be finite.
+        grip = likelihood / likelihood.sum() if likelihood.any() else self.grip_prior
         expected_s = float(grip @ self.grasping.expected_s(occluded, offsets)[level])
         return float(grip @ caught[level]), float(self.config.transport_s) + expected_s
 

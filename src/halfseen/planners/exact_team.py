@@ -236,6 +236,8 @@ class TeamActions:
         held, mean_s = self.world.attempt(doing.target, failures, successes, doing.level)
         mean_s /= float(config.speed[robot])
         weights = [end.share * (held if end.is_held else 1.0 - held) for end in doing.ends]
+        # Ends that the law rules out are never reached, but their values must be finite.
+        weights = weights if any(weights) else [end.share for end in doing.ends]
         endings = []
         for end, weight in zip(doing.ends, weights, strict=True):
             duration_s = mean_s if self.is_alone else end.duration_s

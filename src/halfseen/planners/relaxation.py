@@ -154,7 +154,8 @@ def _told_of_dirt(
     best, labels = float(np.maximum(right_if_dirty, 1.0 - right_if_dirty).max()), np.arange(horizon + 1)
     if_dirty = dirty_share * binom.pmf(labels, horizon, best)
     total = if_dirty + (1.0 - dirty_share) * binom.pmf(labels, horizon, 1.0 - best)
-    return if_dirty / total, total
+    is_told = total > 0.0  # labels that are always right never contradict each other
+    return if_dirty[is_told] / total[is_told], total[is_told]
 
 
 def _told_by_all_views(labels: Labels) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:

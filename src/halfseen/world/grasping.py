@@ -6,7 +6,7 @@ tables. Further laws here: one with parameters fitted to attempts, and one that 
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -125,12 +125,20 @@ class AssumedGrasping:
         a and b [log s].
     limit_s
         τ [s].
+
+    Raises
+    ------
+    ArgumentError
+        A number is not finite, σ is negative, or τ is not positive.
     """
 
     offset_std: Number = 1.0
     log_time: Number = 0.6
     log_time_per_occlusion: Number = 2.2
     limit_s: Number = 6.0
+
+    def __post_init__(self) -> None:
+        _check_numbers(vars(self))
 
     def draw_latent(self, num_objects: int, key: Key) -> Float[Array, "*B N"]:
         """Draw u of each object."""
@@ -192,6 +200,9 @@ class FittedGrasping:
     log_std: Number
     limit_s: Number
 
+    def __post_init__(self) -> None:
+        _check_numbers(vars(self))
+
     def draw_latent(self, num_objects: int, key: Key) -> Float[Array, "*B N"]:
         """Draw u of each object."""
         return self.offset_std * random.normal(key, num_objects)
@@ -236,6 +247,15 @@ class FittedGrasping:
         mean_s = within_s + self.limit_s * _below(-limit)
         # A NumPy float64 scalar would promote float32 arrays to float64.
         return float(mean_s) if xp is np else mean_s
+
+
+def _check_numbers(numbers: Mapping[str, Any]) -> None:
+    """Refuse numbers that make no law; under a JAX transformation, one may be a tracer without a value."""
+    for name, value in numbers.items():
+        least = {"offset_std": 0.0, "log_std": 1e-6, "limit_s": 1e-6}.get(name, -math.inf)
+        if isinstance(value, (int, float)) and not least <= value < math.inf:
+            from_on = f", {least:g} or more" if least >= 0.0 else ""
+            raise ArgumentError(f"{name} of the law is {value}; give a finite number{from_on}")
 
 
 def _below(limit: Any) -> Any:

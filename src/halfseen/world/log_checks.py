@@ -3,13 +3,24 @@
 For the columns see `halfseen.world.logs`.
 """
 
+import warnings
 from collections.abc import Callable
 
 import numpy as np
+import pandas as pd
 
-from halfseen.errors import LogError
+from halfseen.errors import HalfseenWarning, LogError
 from halfseen.logs import Logs, LogStream
-from halfseen.logs.columns import ROBOT, as_floats, refuse, require_columns, robots_that_may_drop_out, shown, value_at
+from halfseen.logs.columns import (
+    ROBOT,
+    as_floats,
+    place,
+    refuse,
+    require_columns,
+    robots_that_may_drop_out,
+    shown,
+    value_at,
+)
 from halfseen.shapes import Bool, Float
 from halfseen.world.actions import TARGETED, Verb
 from halfseen.world.log_rows import FREE, IDLE, NOTHING, OF_OBJECT, TableLog
@@ -25,6 +36,10 @@ PLACE_COLUMNS = ("x_m", "y_m", "z_m")
 [m]. A log has all of them or none."""
 ATTEMPT_BY = "attempt_by"
 """Column of the robots that made the past attempts at an object; older logs lack it."""
+CLOCK_TOLERANCE = 1e-3
+"""Tolerance of times that are the same up to rounding [s], and relative."""
+CLEARLY_HIDDEN, MOST_ODD, ENOUGH_ROWS = 0.1, 0.5, 20
+"""Hidden shares that differ by this contradict each other; memories of a robot may, in up to this share of the rows."""
 _LISTS = ("hidden_by", "attempt_occlusions", "attempt_succeeded")
 _NEEDED = ("location", "occlusion", "log_odds", "lifts", *_LISTS)
 _NEEDED_OF_ROBOT = ("does", "since_s", "decisions_to_go")
@@ -121,6 +136,7 @@ def checked_tables(logs: Logs, horizon: int | None = None, *, is_team: bool | No
     _check_stages(log)
     _check_whereabouts(log)
     _check_objects(log)
+    _warn_of_hiders(log)
     if is_team or (is_team is None and log.num_robots):
         _check_robots_there(log)
         _check_doings(log, horizon)
@@ -185,6 +201,25 @@ def _check_objects(log: TableLog) -> None:
         log.refuse_objects(column, lists[column].rows_with(is_wrong(lists[column].values)), trouble)
 
 
+def _warn_of_hiders(log: TableLog) -> None:
+    """Warn where hidden shares contradict occlusions: what one object alone hides, all hide together."""
+    frame, hidden_by = log.objects, log.lists("hidden_by")
+    is_there = (frame["location"] == TABLE).to_numpy(dtype=bool)
+    alone = np.where(is_there[log.first[hidden_by.row] + hidden_by.place], hidden_by.values, 0.0)
+    most = np.maximum.reduceat(alone, np.cumsum(hidden_by.lengths) - hidden_by.lengths) if len(alone) else alone
+    is_hidden = is_there & (most > CLEARLY_HIDDEN)
+    is_odd = is_hidden & (most > as_floats("objects", frame, "occlusion").to_numpy() + CLEARLY_HIDDEN)
+    if is_odd.sum() > MOST_ODD * max(is_hidden.sum(), ENOUGH_ROWS):
+        row = int(np.argmax(is_odd))
+        warnings.warn(
+            f"{place(frame, row, OF_OBJECT)}: one object alone hides {most[row]:.2f} of it by hidden_by, but its "
+            f"occlusion is {value_at(frame, 'occlusion', row):.2f}, as in {is_odd.sum()} of {is_hidden.sum()} rows; "
+            "hidden_by lists who hides the object, not whom it hides: transpose it, or fix occlusion",
+            HalfseenWarning,
+            stacklevel=2,
+        )
+
+
 def _check_robots_there(log: TableLog) -> None:
     """Check that stages and objects have the required columns of each robot, and of no other."""
     logs, last = log.logs, log.num_robots - 1
@@ -206,6 +241,7 @@ def _check_doings(log: TableLog, horizon: int | None) -> None:
     stages, num_objects, robots = log.logs.stages, log.num_objects, range(log.num_robots)
     at = np.where(np.isin(log.does[..., 0], TARGETED), log.does[..., 1], NOTHING)
     since_s, to_go = log.of_robots("since_s"), log.of_robots("decisions_to_go")
+    begin_s = stages["elapsed_s"].groupby(stages["trajectory"]).shift(fill_value=0.0).to_numpy(dtype=np.float64)
     for r in robots:
         decides, does, decisions = log.decider == r, f"{r}_does", f"{r}_decisions_to_go"
         log.refuse_stages(
@@ -214,11 +250,20 @@ def _check_doings(log: TableLog, horizon: int | None) -> None:
         is_busy = decides & (log.does[:, r, 0] != IDLE[FREE])
         log.refuse_stages(does, is_busy, f"yet robot {r} decides; a robot decides only when it is FREE")
         log.refuse_stages(f"{r}_since_s", since_s[:, r] < 0, "below 0; give the seconds since its action began")
+        is_before = since_s[:, r] > begin_s * (1.0 + CLOCK_TOLERANCE) + CLOCK_TOLERANCE
+        trouble = (
+            "longer than the trajectory by then; give the seconds since its action began, on the clock of elapsed_s"
+        )
+        log.refuse_stages(f"{r}_since_s", is_before, trouble)
         log.refuse_stages(decisions, _is_no_count(to_go[:, r]), "not a count; give the decisions that it has left")
         trouble = f"more than horizon={horizon} decisions of all robots together; raise horizon, or fix it"
         log.refuse_stages(decisions, to_go[:, r] > (np.inf if horizon is None else horizon), trouble)
         is_spent = decides & (to_go[:, r] == 0)
         log.refuse_stages(decisions, is_spent, f"yet robot {r} decides; count this decision too")
+        own = pd.Series(to_go[decides, r], index=np.flatnonzero(decides))
+        before = own.groupby(stages["trajectory"].to_numpy()[decides]).shift(fill_value=np.inf)
+        is_same = np.isin(np.arange(len(stages)), own.index[own >= before])
+        log.refuse_stages(decisions, is_same, "no less than at its decision before; count down with every decision")
         for s in robots[r + 1 :]:
             at_once = (at[:, r] == at[:, s]) & (at[:, r] != NOTHING)
             log.refuse_stages(does, at_once, f"and {s}_does names the same object; fix one of them")
@@ -248,6 +293,9 @@ def _check_workspace(log: TableLog) -> None:
             refuse(frame, lists.lengths != log.lists("attempt_occlusions").lengths, f"{differ} it out", OF_OBJECT)
         wrong = _is_no_count(lists.values) | (lists.values >= num[lists.row])
         log.refuse_objects(column, lists.rows_with(wrong), trouble)
+    near = log.lists("near")
+    is_own = near.values.astype(np.int64) == (np.arange(len(frame)) - log.first)[near.row]
+    log.refuse_objects("near", ~near.rows_with(is_own), "lacks the object itself; list it with those too near to it")
     is_beyond = (log.begun >= 0) & ~log.is_reached[log.begun, log.decider]
     trouble = "which reached_by says it cannot reach; fix one of them"
     refuse(log.logs.stages, is_beyond, lambda row: f"{_begins(log, row)}, {trouble}")

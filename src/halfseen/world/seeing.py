@@ -155,12 +155,28 @@ class AssumedSeeing:
     gain
         Increase for an object in full view.
     power
-        Exponent of the visible share.
+        Exponent of the visible share, 0 or above.
+
+    Raises
+    ------
+    ArgumentError
+        A label would be right with a probability outside [0, 1].
     """
 
     floor: Number = 0.5
     gain: Number = 0.3
     power: Number = 1.5
+
+    def __post_init__(self) -> None:
+        # Under a JAX transformation, a number may be a tracer without a value.
+        if not all(isinstance(number, (int, float)) for number in (self.floor, self.gain, self.power)):
+            return
+        chances = (self.floor, self.floor + self.gain)
+        if not (all(0.0 <= chance <= 1.0 for chance in chances) and 0.0 <= self.power < np.inf):
+            raise ArgumentError(
+                f"floor is {self.floor}, gain {self.gain} and power {self.power}; give floor and floor + gain in "
+                "[0, 1], the probabilities that a label is right, and a power of 0 or above"
+            )
 
     def draw_latent(self, num_objects: int, key: Key) -> None:
         """No latent variable: errors do not persist."""

@@ -122,14 +122,16 @@ class TableWorld:
         Raises
         ------
         ArgumentError
-            `episodes` or `seed` is not a whole number, or too small; `cut_share` is outside [0, 1); or `policy` does
-            not decide.
+            `episodes` or `seed` is not a whole number, or too small; `cut_share` is outside [0, 1); `policy` does not
+            decide; or the prior is certain, whose log-odds no log can hold.
         PolicyError
             The policy is for another number of robots.
         SceneError
             A scene for a team lacks the places of its objects.
         """
-        scenes = _as_list(scenes)
+        scenes, share = _as_list(scenes), self.config.dirty_share
+        if not 0.0 < share < 1.0:
+            raise ArgumentError(f"dirty_share is {share}, whose log-odds no log can hold; give one between 0 and 1")
         cuts = self.record(scenes, policy, episodes, seed, cut_share, cut_kind)
         return to_logs(cuts, cut_kind, scenes, self.config.dirty_share, drop_out_cause)
 
