@@ -107,7 +107,8 @@ def see_table(
     view = perceive(cloud)
     if not view.objects:
         cleared = "" if past is None else "; if it is cleared, the trajectory is over"
-        raise CloudError(f"{file}: no objects on the table; bring the whole table with its objects into view{cleared}")
+        remedy = "bring the whole table with its objects into view, upright in the image"
+        raise CloudError(f"{file}: no objects on the table; {remedy}{cleared}")
     seen_labels, others = labels_of(view, cloud, labels), other_things_in_words(view)
     scene = view.scene() if law is None else law.scene(view)
     now = _present(stored, view, scene, past, stage, horizon or stored.horizon)
