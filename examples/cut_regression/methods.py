@@ -51,7 +51,7 @@ def cox_median(sample: Sample) -> Predictor:
     times = model.times_[model.times_ < TAU]
 
     def median(covariates: Float[np.ndarray, "m F"]) -> Float[np.ndarray, " m"]:
-        just_after = np.tile(np.nextafter(times, np.inf), (len(covariates), 1))
+        just_after = np.tile(times + 2.0 * model.tolerance_s_, (len(covariates), 1))
         is_above = model.survival(just_after, covariates) > 0.5
         return np.append(times, TAU)[is_above.sum(axis=1)]
 

@@ -113,6 +113,6 @@ def test_a_time_that_is_none_is_refused_in_a_line(u):
 
 
 def test_a_single_weight_and_a_bound_in_words():
-    assert weight_diagnostics(2.0).largest_at == ()
+    assert weight_diagnostics(np.array(2.0)).largest_at == ()
     with refused_type("truncate_at is '2'; weights are at least 1"):
         censoring_weights(ENDS, FINISHED, truncate_at="2")

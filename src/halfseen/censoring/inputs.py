@@ -102,7 +102,7 @@ def shortest_float(*given: Any) -> type[np.floating]:
 def just_before(times: Float[np.ndarray, "*S"], tolerance_s: float, precision: float) -> Float[np.ndarray, "*S"]:
     """Times less their tolerance: the larger of an absolute one [s], and a relative one."""
     sizes = np.where(np.isfinite(times), np.abs(times), 0.0)
-    return times - np.maximum(tolerance_s, precision * sizes)
+    return np.asarray(times - np.maximum(tolerance_s, precision * sizes))
 
 
 def checked_truncation(truncate_at: float | int | None) -> float | int | None:

@@ -47,7 +47,7 @@ class FixedSequence:
            [1., 0.]])
     """
 
-    sequence: tuple[Hashable, ...]
+    sequence: Sequence[Hashable] | np.ndarray
 
     def __post_init__(self) -> None:
         if isinstance(self.sequence, str) or len(self.sequence) == 0:
