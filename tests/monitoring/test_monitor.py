@@ -70,6 +70,16 @@ def test_a_healthy_cell_is_no_alarm_and_earns_what_it_does(stored):
     assert "0.85 was promised (0.7 to 1)" in found.sentence
 
 
+def test_rewards_beyond_what_the_log_had_are_said_at_either_end(stored):
+    logs = cell(600, 1, policy=stored.policy)
+    is_first = (logs.stages["trajectory"] < 9) & logs.stages["reward"].notna()
+    for brought, said in ((-500.0, "less than is possible by the log, counting as 0"), (500.0, "more than is")):
+        other = Logs(logs.stages.assign(reward=logs.stages["reward"].mask(is_first, brought)), logs.trajectories)
+        (note,) = monitored(stored, other).notes
+        assert f"{is_first.sum()} trajectories brought {said}" in note
+    assert monitored(stored, logs).notes == ()
+
+
 def test_a_part_that_broke_is_named_and_since_when(stored):
     logs = cell(600, 1, (0.9, 0.3), stored.policy)
     found = monitored(stored, logs)

@@ -289,11 +289,12 @@ def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) 
     low, high = promise["brings"]
     totals: Any = logs.stages.groupby("trajectory", sort=False)["reward"].sum().reindex(logs.trajectory_ids)
     total = totals.to_numpy(dtype=np.float64)
-    num_more = int(((total > high) & logs.is_finished).sum())
-    if num_more:
-        notes.append(
-            f"{counted(num_more, 'trajectory')} brought more than is possible by the log, and count as {high:g}"
-        )
+    room = 1e-9 * max(abs(low), abs(high))
+    for is_beyond, than, end in ((total > high + room, "more", high), (total < low - room, "less", low)):
+        if num := int((is_beyond & logs.is_finished).sum()):
+            notes.append(
+                f"{counted(num, 'trajectory')} brought {than} than is possible by the log, counting as {end + 0.0:g}"
+            )
     has_actions = isinstance(stored.policy, NamedActionPolicy) and logs.has_all_actions
     plain = in_known_categories(looks_at_of(stored.policy), logs)
     known = task_of(stored.policy, plain).censoring_covariates(plain, None, False) if has_actions else None
