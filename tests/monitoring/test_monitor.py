@@ -475,6 +475,14 @@ def test_a_change_within_trajectories_is_noticed_and_the_swap_named():
     assert "covariates weight and clutter look swapped" in broken_parts(promise, LOOKS_AT, swapped, 1)[0]
 
 
+def test_text_that_changes_and_a_number_that_is_stuck_are_not_swapped():
+    logs = two_stages(40, 1)
+    stuck = logs.stages.assign(clutter=0.3, weight=np.tile(["light", "heavy"], 40))
+    looks_at = Covariates(("weight", "clutter"), {"weight": ("heavy", "light")})
+    promise = {"stages": [], "unmoved": {"names": ["weight"], "num": 60}}
+    assert broken_parts(promise, looks_at, Logs(stuck, logs.trajectories), 1) == ()
+
+
 PROMISED = {"value": 0.6, "standard_error": 0.1}
 
 
