@@ -1,6 +1,6 @@
 """Decisions of policies of named actions, from the covariates of one stage, and their reasons."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -267,8 +267,22 @@ def checked_stage(stage: Any, latest: int, where: str, what: str = "the policy's
         It is no whole number from 1 to `latest`, which is `what`.
     """
     if isinstance(stage, bool) or not (hasattr(stage, "__index__") and 1 <= int(stage) <= latest):
-        raise PolicyError(f"{where}: stage is {stage}; give a whole number from 1 to {what}{latest:,}")
+        raise PolicyError(f"{where}: stage is {stage!r:.40}; give a whole number from 1 to {what}{latest:,}")
     return int(stage)
+
+
+def stage_of(state: Mapping[str, Any], where: str, covariates: Collection[str] = ()) -> Any:
+    """The stage in a state; None if there is none.
+
+    Raises
+    ------
+    PolicyError
+        It is spelled otherwise and no covariate, so that stage 1 would be decided.
+    """
+    for name in state if "stage" not in state else ():
+        if str(name).strip().lower() == "stage" and name not in covariates:
+            raise PolicyError(f"{where}: it says {name!r}, which is not read; write it as 'stage', or leave it out")
+    return state.get("stage")
 
 
 def covariates_in_words(policy: DiscretePolicy) -> str:
