@@ -1,5 +1,7 @@
 """A small cell in service: healthy, broken, with swapped columns; what never moved; and whether to learn again."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,6 +15,7 @@ from halfseen.logs import Logs
 from halfseen.monitoring import betting
 from halfseen.monitoring.answer import FEWEST, num_needed, relearning
 from halfseen.monitoring.diagnosis import broken_parts, clock_unit, differs, part_words, swapped_or_changed
+from halfseen.monitoring.foreign import unknown_actions
 from halfseen.monitoring.monitor import ALPHAS, looks_at_of, monitored
 from halfseen.monitoring.streams import move_streams, part_streams, swap_streams, swapped_states
 from halfseen.policies.folder import read_policy, write_policy
@@ -238,6 +241,10 @@ def test_what_another_decided_says_nothing_of_the_promise(stored):
     assert found.foreign == ""
 
 
+def numbers_as_text(numbers):
+    return SimpleNamespace(decide=lambda frame, stage: np.resize([str(n) for n in numbers.actions[::-1]], len(frame)))
+
+
 class Opposite:
     """Takes what another policy does not."""
 
@@ -266,6 +273,12 @@ def test_where_most_is_explored_or_the_rule_decides_the_log_is_of_the_service(st
     drawn = Logs(logs.stages.assign(probability=0.5), logs.trajectories)
     assert monitored(stored, drawn).foreign == ""
     assert monitored(stored, logs).foreign.startswith("Only 0% of the actions are the policy's")
+
+
+def test_numbers_that_came_as_text_are_to_be_written_as_numbers():
+    numbers = SimpleNamespace(actions=(1, 20))
+    (first, _) = unknown_actions(numbers, cell(9, 1, policy=numbers_as_text(numbers)))
+    assert first.endswith("are '20', which the policy does not know (1, 20). Write 20 if that is meant.")
 
 
 def test_actions_that_the_policy_does_not_know_are_named_first(stored):
