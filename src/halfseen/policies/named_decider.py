@@ -10,7 +10,16 @@ import numpy as np
 from halfseen.errors import LogError, PolicyError
 from halfseen.lazy import Frame
 from halfseen.learning.discrete_policy import DiscretePolicy, Valued
-from halfseen.policies.decision import SAME_VALUE, Decision, QError, certainty, lead, next_best, values_by_name
+from halfseen.policies.decision import (
+    Decision,
+    QError,
+    certainty,
+    lead,
+    least_gap,
+    next_best,
+    values_by_name,
+    written_gap,
+)
 from halfseen.policies.ranges import (
     Margins,
     Range,
@@ -193,10 +202,10 @@ def flat_reason(
     left = each[1:, best] - each[1:, other]
     least = int(np.argmin(left))
     name = policy.covariates[least]
-    if q[best] - q[other] - left[least] < SAME_VALUE:
+    if q[best] - q[other] - left[least] <= least_gap(q):
         return f"{start}; no covariate favours it more than its usual value does."
     is_value, is_other = _written(row[name], 6), _written(instead[name], 3)
-    would = f"worth {abs(left[least]):.2f} {'more' if left[least] >= 0 else 'less'} than {names[other]}"
+    would = f"worth {written_gap(abs(left[least]))} {'more' if left[least] >= 0 else 'less'} than {names[other]}"
     usual = "" if _is_switch(ranges[name], row[name]) else f" ({_usual(ranges[name])} in the logs)"
     return f"{start}; mainly because {name} is {is_value}: at {is_other}{usual}, it would be {would}."
 
