@@ -13,6 +13,7 @@ import shell
 from drawn_tables import Can, boxes_cloud, draw
 from halfseen.cell.calibration.law import read_law, shipped_law
 from halfseen.learning import CensoredQLearner
+from halfseen.logs import Logs
 from halfseen.perception import perceive, read_cloud, write_pcd
 from halfseen.policies import read_policy
 from halfseen.policies.table_observation import past_in, see_table
@@ -126,6 +127,15 @@ def test_how_sure_it_is_stands_beside_each_value(sure, tmp_path):
         assert value == f"{report['q_values'][name]:+.2f}"
         assert [low, high] == [f"{end:+.2f}" for end in report["intervals"][name]]
         assert best == f"{report['chance_best'][name]:.0%}"
+
+
+def test_values_in_a_large_unit_are_told_apart(tmp_path):
+    small = Logs(FLAT.stages.assign(reward=FLAT.stages["reward"] * 1e-4), FLAT.trajectories)
+    kept(flat_learner(), small, tmp_path / "small")
+    report, lines = (ask(tmp_path / "small", state(tmp_path)) for ask in (report_of, run))
+    rows = dict(line.split()[:2] for line in lines.splitlines() if line.startswith(("A  ", "B  ")))
+    assert rows == {name: f"{report['q_values'][name]:+.3g}" for name in ("A", "B")}
+    assert "worth as much" not in report["reason"]
 
 
 def test_a_picture_is_drawn_and_stands_for_nothing_that_is_there(sure, tmp_path):

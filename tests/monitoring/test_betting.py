@@ -111,3 +111,12 @@ def test_a_hypothesis_is_first_rejected_when_its_own_evidence_is_enough():
     assert [betting.first_rejected(p, 0.05, k) for k in range(2)] == [1, 2]
     late = np.array([[0.04, 0.04], [0.03, 0.02]])
     assert [betting.first_rejected(late, 0.05, k) for k in range(2)] == [1, 1]
+
+
+def test_an_alarm_stays_after_a_trajectory_of_thousands_of_stages():
+    trajectory = np.append(np.zeros(5000, dtype=int), [1, 2])
+    left = np.append(-np.ones(5000), [0.0, 0.0])
+    payoffs = betting.residual_payoffs(left, trajectory, 3, np.zeros(5002), 1.0)
+    assert np.isfinite(payoffs).all()
+    (first, second, last) = betting.p_values(betting.log_wealth(payoffs))[:, 0]
+    assert first == second == last < 1e-9

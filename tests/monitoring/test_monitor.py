@@ -1,5 +1,7 @@
 """A small cell in service: healthy, broken, with swapped columns; what never moved; and whether to learn again."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,6 +15,7 @@ from halfseen.logs import Logs
 from halfseen.monitoring import betting
 from halfseen.monitoring.answer import FEWEST, num_needed, relearning
 from halfseen.monitoring.diagnosis import broken_parts, clock_unit, differs, part_words, swapped_or_changed
+from halfseen.monitoring.foreign import unknown_actions
 from halfseen.monitoring.monitor import ALPHAS, looks_at_of, monitored
 from halfseen.monitoring.streams import move_streams, part_streams, swap_streams, swapped_states
 from halfseen.policies.folder import read_policy, write_policy
@@ -68,6 +71,16 @@ def test_a_healthy_cell_is_no_alarm_and_earns_what_it_does(stored):
     assert found.earned["low"] < 0.88 < found.earned["high"]
     assert found.sentence.startswith("No alarm: in 600 trajectories nothing has changed; it earns 0.")
     assert "0.85 was promised (0.7 to 1)" in found.sentence
+
+
+def test_rewards_beyond_what_the_log_had_are_said_at_either_end(stored):
+    logs = cell(600, 1, policy=stored.policy)
+    is_first = (logs.stages["trajectory"] < 9) & logs.stages["reward"].notna()
+    for brought, said in ((-500.0, "less than is possible by the log, counting as 0"), (500.0, "more than is")):
+        other = Logs(logs.stages.assign(reward=logs.stages["reward"].mask(is_first, brought)), logs.trajectories)
+        (note,) = monitored(stored, other).notes
+        assert f"{is_first.sum()} trajectories brought {said}" in note
+    assert monitored(stored, logs).notes == ()
 
 
 def test_a_part_that_broke_is_named_and_since_when(stored):
@@ -228,6 +241,10 @@ def test_what_another_decided_says_nothing_of_the_promise(stored):
     assert found.foreign == ""
 
 
+def numbers_as_text(numbers):
+    return SimpleNamespace(decide=lambda frame, stage: np.resize([str(n) for n in numbers.actions[::-1]], len(frame)))
+
+
 class Opposite:
     """Takes what another policy does not."""
 
@@ -256,6 +273,12 @@ def test_where_most_is_explored_or_the_rule_decides_the_log_is_of_the_service(st
     drawn = Logs(logs.stages.assign(probability=0.5), logs.trajectories)
     assert monitored(stored, drawn).foreign == ""
     assert monitored(stored, logs).foreign.startswith("Only 0% of the actions are the policy's")
+
+
+def test_numbers_that_came_as_text_are_to_be_written_as_numbers():
+    numbers = SimpleNamespace(actions=(1, 20))
+    (first, _) = unknown_actions(numbers, cell(9, 1, policy=numbers_as_text(numbers)))
+    assert first.endswith("are '20', which the policy does not know (1, 20). Write 20 if that is meant.")
 
 
 def test_actions_that_the_policy_does_not_know_are_named_first(stored):
@@ -463,6 +486,14 @@ def test_a_change_within_trajectories_is_noticed_and_the_swap_named():
     promise = {"stages": [], "unmoved": unmoved}
     assert broken_parts(promise, LOOKS_AT, usual, 1) == ()
     assert "covariates weight and clutter look swapped" in broken_parts(promise, LOOKS_AT, swapped, 1)[0]
+
+
+def test_text_that_changes_and_a_number_that_is_stuck_are_not_swapped():
+    logs = two_stages(40, 1)
+    stuck = logs.stages.assign(clutter=0.3, weight=np.tile(["light", "heavy"], 40))
+    looks_at = Covariates(("weight", "clutter"), {"weight": ("heavy", "light")})
+    promise = {"stages": [], "unmoved": {"names": ["weight"], "num": 60}}
+    assert broken_parts(promise, looks_at, Logs(stuck, logs.trajectories), 1) == ()
 
 
 PROMISED = {"value": 0.6, "standard_error": 0.1}

@@ -52,6 +52,24 @@ def test_batches_change_nothing_and_nothing_is_weighed_without_a_past():
     np.testing.assert_allclose(values, at_once.values)
 
 
+@pytest.mark.parametrize(("cut_after_s", "is_too_cut"), [(20.0, False), (3.0, True)])
+def test_where_weights_cannot_make_up_for_the_cuts_nothing_counts(cut_after_s, is_too_cut):
+    """Failures end soon, so that of many cuts they are most of what finishes."""
+    rng = np.random.default_rng(3)
+    succeeds = rng.random(400) < 0.6
+    end_s, cut_s = (
+        np.where(succeeds, rng.gamma(4.0, 2.0, 400), rng.gamma(2.0, 0.5, 400)),
+        rng.exponential(cut_after_s, 400),
+    )
+    outcomes = CensoredOutcomes(0.0, 1.0)
+    found = outcomes.add(ends_as_clocks(np.minimum(end_s, cut_s), end_s <= cut_s), succeeds.astype(float))
+    assert (outcomes.num_too_cut > 350) == is_too_cut
+    assert found.is_weighed.sum() == 400 - FEWEST - outcomes.num_too_cut
+    if not is_too_cut:
+        assert outcomes.num_too_cut == 0
+        assert found.values[FEWEST:].mean() == pytest.approx(0.6, abs=0.06)
+
+
 def test_what_no_trajectory_can_bring_is_refused():
     with pytest.raises(ArgumentError, match=r"add up to 2, outside 0 to 1"):
         CensoredOutcomes(0.0, 1.0).add(ends_as_clocks([1.0], [True]), [2.0])

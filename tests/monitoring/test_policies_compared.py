@@ -224,6 +224,9 @@ def test_what_is_said():
         "the comparison goes on after 2 trajectories, 1 by the policy: the policy's gain is not known yet; that takes "
         "more finished trajectories of both"
     )
+    stopped = str(standing(drawn(2, np.random.default_rng(0)), Terms(most_loss=1e-9)))
+    assert stopped.startswith("the policy is stopped after 2 trajectories, 1 by the policy: it may have lost ")
+    assert stopped.endswith(", and its gain stays unknown")
     going_on = Standing(60, 10, 0.4, -0.5, 1.8, 3.0, 0.2, "going on", 16494)
     assert str(going_on).endswith("gain is −0.5 to +1.8 a trajectory; about 16,000 more would decide it")
     found = str(standing(drawn(300, np.random.default_rng(0), gain=1.0), Terms()))

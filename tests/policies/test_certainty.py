@@ -11,7 +11,7 @@ from scipy.stats import norm
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies import NamedObservation, decider_of, read_policy
-from halfseen.policies.decision import certainty
+from halfseen.policies.decision import certainty, lead
 from halfseen.policies.folder import write_policy
 from halfseen.policies.folder.log_facts import stage_counts, stages_left
 from halfseen.tables.present import first_state
@@ -72,6 +72,16 @@ def test_equals_are_all_the_best_and_the_impossible_never_is():
     assert found.chance_best.tolist() == [1.0, 1.0, 0.0]
     assert found.low[2] == found.high[2] == -np.inf
     assert list(found.by_name(["a", "b", "c"])[0]) == ["a", "b"]
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e-4, 1e6])
+def test_the_unit_of_rewards_changes_no_chance_and_hides_no_difference(unit):
+    q, deviations = np.array([0.30, 0.29, 0.19]), np.diag([0.02, 0.03, 0.1])
+    found, usual = (certainty(each * q, each * deviations, np.arange(3), EVERY) for each in (unit, 1.0))
+    np.testing.assert_array_equal(found.chance_best, usual.chance_best)
+    said = lead(["a", "b", "c"], unit * q, 0, {})
+    assert float(said.removeprefix("a: worth ").removesuffix(" more than b")) == pytest.approx(0.01 * unit)
+    assert lead(["a", "b", "c"], unit * q[[0, 0, 1]], 0, {}) == "a: worth as much as b"
 
 
 def test_stages_to_come_widen_by_their_number_draws_by_its_root_and_what_no_log_takes_away_both():

@@ -6,11 +6,16 @@ import numpy as np
 import pandas as pd
 import pytest
 from asking import acted, client_of, decided, ended, flat_with, refused, rewarded, written
+from click.testing import CliRunner
+from starlette.testclient import TestClient
 
+from halfseen.cli.serve import serve
 from halfseen.errors import PolicyError
 from halfseen.logs import LogRecorder, read_logs
 from halfseen.logs.missing import LAST, MEDIAN
 from halfseen.policies.folder import read_policy
+from halfseen.serving import app, limits
+from halfseen.serving.app import app_of
 from halfseen.serving.recording import RecordedTrajectories
 from holes import holed_log
 from text_logs import ACTIONS
@@ -149,3 +154,22 @@ def test_a_policy_of_other_covariates_is_not_reloaded(flat, tmp_path):
         cut(client)
         written(folder, reg=5.0)
         assert client.post("/reload").json()["policy"] != before
+
+
+def test_a_server_that_begins_again_does_not_draw_the_same_again(flat, tmp_path, monkeypatch):
+    told = []
+
+    def asked(served, *_, **__):
+        told.append(served.answering.rng.bit_generator.state["state"]["state"])
+        with TestClient(app_of(served), base_url="http://127.0.0.1") as client:
+            decided(client, x1=0.1, x2=1)
+
+    monkeypatch.setattr(app, "app_of", asked)
+    monkeypatch.setattr(limits, "serve", lambda *_: None)
+    words = [str(flat), "--port", "0", "--monitor-every", "0", "--record", str(tmp_path / "logs"), "--explore", "0.9"]
+    for _ in range(12):
+        CliRunner().invoke(serve, words, catch_exceptions=False)
+    assert len(set(told)) == 12
+    assert set(read_logs(tmp_path / "logs").stages["probability"].round(6)) == {0.45, 0.55}
+    # Nor is the first draw the one by which the first trajectory is dealt.
+    assert told[0] != np.random.default_rng([0, 0]).bit_generator.state["state"]["state"]

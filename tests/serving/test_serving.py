@@ -71,7 +71,8 @@ def test_it_says_what_act_says(asked, flat, tmp_path):
         (b'{"x1": 0, "x2": 1, "stage": 0}', 422, "stage is 0; give a whole number from 1"),
         (b'{"x1": 0, "x2": 1, "stage": 10001}', 422, "stage is 10001; give a whole number from 1 to 10,000"),
         (b'{"x1": 0, "x2": 1, "stage": true}', 422, "stage is True"),
-        (b'{"x1": 0, "x2": 1, "stage": "1"}', 422, "stage is 1"),
+        (b'{"x1": 0, "x2": 1, "stage": "1"}', 422, "stage is '1'; give a whole number"),
+        (b'{"x1": 0, "x2": 1, " Stage": 2}', 422, "it says ' Stage', which is not read; write it as 'stage'"),
         (b'{"x1": 0, "x2": 1, "stage": null}', 422, "stage is None"),
     ],
 )

@@ -112,11 +112,13 @@ def _lines(decision: "Decision", seen: str, other_things: str, stage: int, horiz
     last = [one for one in warnings if one not in first]
     known = {name: q for name, q in decision.q_values.items() if q is not None}
     rows = [["action", "value", *(["95 % interval", "best"] if decision.intervals else [])]]
+    # Two decimals would hide small values.
+    form = "+.3g" if 0.0 < max(map(abs, known.values()), default=0.0) < 0.1 else "+.2f"
     for name in sorted(known, key=lambda name: -known[name]):
-        rows.append([name, f"{known[name]:+.2f}"])
+        rows.append([name, f"{known[name]:{form}}"])
         if decision.intervals:
             low, high = decision.intervals[name]
-            rows[-1] += [f"{low:+.2f} to {high:+.2f}", f"{decision.chance_best[name]:.0%}"]
+            rows[-1] += [f"{low:{form}} to {high:{form}}", f"{decision.chance_best[name]:.0%}"]
     words = [*first, decision.reason, *([seen] if seen else []), *last, "", f"stage {stage} of {horizon}"]
     return [*words, *aligned(rows), *([] if decision.intervals else [UNKNOWN])]
 

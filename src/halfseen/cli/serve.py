@@ -111,7 +111,7 @@ def serve(
     is_template
         Only print a mapping template for this policy, or write it to --mapping.
     seed
-        Same seed, same draws of --explore and assignments of --against.
+        Same seed and log, same draws and assignments.
     """
     import numpy as np
 
@@ -158,7 +158,8 @@ def serve(
     ):
         if trajectories is not None:
             trajectories.refuse_other_columns(served.service.stored.policy)
-        rng, recent = np.random.default_rng(seed), Recent(watch)
+        rng = np.random.default_rng(seed) if trajectories is None else trajectories.draws(seed)
+        recent = Recent(watch)
         served.answering = Answering(epsilon, table, rng, trajectories, recent=recent)
         if against is not None and record is not None:
             terms = Terms(most_loss=most_loss) if share is None else Terms(share, most_loss)

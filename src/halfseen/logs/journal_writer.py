@@ -173,7 +173,7 @@ class JournalWriter:
         Raises
         ------
         LogError
-            The journal is closed, belongs to another process, or the disk is full.
+            The journal is closed or deleted, belongs to another process, or the disk is full.
         """
         if self._lock is None:
             raise LogError(f"{self._held.part}: the recorder is closed; open a new one on the folder to continue")
@@ -183,6 +183,7 @@ class JournalWriter:
                 f"{os.getpid()}; record in the process that opened it"
             )
         with self._telling():
+            self._refuse_deleted()
             self._take_back()
             if self._held.num_bytes >= self._part_bytes and event["event"] == "stage" and event["stage"] == 1:
                 self._begin_part()
@@ -227,6 +228,15 @@ class JournalWriter:
                 os.close(each)
         if self._synced:
             sync_folder(part.parent)
+
+    def _refuse_deleted(self) -> None:
+        """Refuse to write into a file that has no name any more: what it holds is lost once it is closed."""
+        part, descriptor, *_ = self._held
+        if os.fstat(descriptor).st_nlink == 0 and not _is_there(descriptor, part):
+            raise LogError(
+                f"{part}: it was deleted while it was recorded, so the event would be lost; open a new recorder on the "
+                "folder, or restart the server"
+            )
 
     def _take_back(self) -> None:
         """Remove the bytes of an event that was not committed because of Ctrl-C or a full disk."""

@@ -109,6 +109,8 @@ class LogRecorder:
         self._check, self._keeps_events = check, keeps_events
         self._names: set[int | str] = set()
         self._torn: list[dict[str, Any]] = []
+        self.num_earlier_stages = 0
+        """Number of stages that the folder held before."""
         self._restored = RecordingState()
         self._trajectory: TrajectoryRecorder | None = None
         self._journal = JournalWriter(folder, synced_events(fsync), self._restore, unit, part_bytes)
@@ -212,6 +214,7 @@ class LogRecorder:
             self._restored = replace(known, num_shares=len(event.get("own_rewards", ())))
         if event["event"] != "stage":
             return
+        self.num_earlier_stages += 1
         schema, where = known.schema, f"trajectory {shown(event['trajectory'])}, stage {event['stage']}"
         if event["stage"] == 1:
             schema, name, _ = schema.with_trajectory(event["trajectory"], event["columns"])

@@ -32,6 +32,8 @@ STAKE = 0.9
 POWER, SHIFT = 0.65, 0.5
 """Bets on low ranks: exponent of a beta density, and shift of a normal density [standard deviations]. They were chosen
 on other policies than those of `benchmarks/service.py`."""
+MOST_PAID = 1e100
+"""Largest payoff of a trajectory, so that one of thousands of stages leaves the wealth a number."""
 LEAST = 1e-12
 """Smallest p-value, since the densities are unbounded at 0."""
 
@@ -122,8 +124,9 @@ def residual_payoffs(
     clipped, payoffs = np.clip(values, -reach, reach), np.ones((num, NUM_STATES))
     less, more = (_loss_bets(sign * clipped, reach, -tolerance)[:, None] for sign in (1.0, -1.0))
     each = 1.0 + np.concatenate([0.0 * less, less * LEVELS, more * LEVELS], axis=1)
-    np.multiply.at(payoffs, trajectory, each)
-    return payoffs[:, None]
+    with np.errstate(over="ignore"):
+        np.multiply.at(payoffs, trajectory, each)
+    return np.minimum(payoffs, MOST_PAID)[:, None]
 
 
 def _loss_bets(values: np.ndarray, highs: Any, means: Any) -> np.ndarray:

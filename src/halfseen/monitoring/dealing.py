@@ -81,6 +81,8 @@ class Standing:
         stands = "the comparison goes on" if self.verdict == "going on" else f"the policy is {self.verdict}"
         so_far = f"{stands} after {counted_in_words(self.num, 'trajectory')}, {self.num_policy:,} by the policy"
         if self.low is None or self.high is None:
+            if self.verdict == "stopped":
+                return f"{so_far}: it may have lost {self.worst_loss or 0.0:.2g}, and its gain stays unknown"
             return f"{so_far}: the policy's gain is not known yet; that takes more finished trajectories of both"
         known = f"{so_far}: the policy's gain is {_signed(self.low)} to {_signed(self.high)} a trajectory"
         if self.verdict != "going on":

@@ -267,7 +267,8 @@ def _swapped_moves(promise: Any, looks_at: Covariates, logs: Logs) -> tuple[str,
     has_moved = {name: moves(logs, name)[1].any() for name in looks_at.columns if name in logs.stages.columns}
     one = [name for name in unmoved if has_moved.get(name)]
     other = [name for name, moved in has_moved.items() if name not in unmoved and not moved]
-    if len(one) != 1 or len(other) != 1:
+    # Text and a number would have been refused.
+    if len(one) != 1 or len(other) != 1 or len(looks_at.categories.keys() & {*one, *other}) == 1:
         return ()
     return (f"covariates {one[0]} and {other[0]} {SWAPPED}: within a trajectory the first changes now, not the second",)
 

@@ -88,8 +88,11 @@ def _not_known(action: str, count: int, num: int, policy: Any) -> str:
 
 
 def _other_spelling(name: str, known: Collection[Any]) -> str:
-    meant = closest(name, known)
-    return "" if meant is None else f" Write {meant!r} if that is meant."
+    close = closest(name, known)
+    # A number may have come as text.
+    return (
+        "" if close is None else f" Write {shown(next(each for each in known if str(each) == close))} if that is meant."
+    )
 
 
 def own_actions(policy: Any, looks_at: Covariates, stages: Any) -> Bool[np.ndarray, " m"]:

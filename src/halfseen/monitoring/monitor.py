@@ -209,9 +209,7 @@ def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n
     is_judged = promise.get("value") and not bets.foreign
     promised = {name: promise["value"][name] for name in ("value", "low", "high")} if is_judged else None
     smallest = {family: np.minimum(p.min(axis=1, initial=1.0) * p.shape[1], 1.0) for family, p in p_values.items()}
-    pays = ""
-    if findings:
-        pays = MEND_FIRST if is_misrecorded(causes) else _pays(stored, logs, since, earned)
+    pays = "" if not findings else MEND_FIRST if is_misrecorded(causes) else _pays(stored, logs, since, earned)
     rest: Any = (outcomes, course, smallest, pays, bets.doubts, bets.foreign)
     return Monitored(logs.num_trajectories, promised, earned, tuple(findings), causes, bets.notes, *rest)
 
@@ -289,19 +287,23 @@ def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) 
     low, high = promise["brings"]
     totals: Any = logs.stages.groupby("trajectory", sort=False)["reward"].sum().reindex(logs.trajectory_ids)
     total = totals.to_numpy(dtype=np.float64)
-    num_more = int(((total > high) & logs.is_finished).sum())
-    if num_more:
-        notes.append(
-            f"{counted(num_more, 'trajectory')} brought more than is possible by the log, and count as {high:g}"
-        )
+    room = 1e-9 * max(abs(low), abs(high))
+    for is_beyond, than, end in ((total > high + room, "more", high), (total < low - room, "less", low)):
+        if num := int((is_beyond & logs.is_finished).sum()):
+            notes.append(
+                f"{counted(num, 'trajectory')} brought {than} than is possible by the log, counting as {end + 0.0:g}"
+            )
     has_actions = isinstance(stored.policy, NamedActionPolicy) and logs.has_all_actions
     plain = in_known_categories(looks_at_of(stored.policy), logs)
     known = task_of(stored.policy, plain).censoring_covariates(plain, None, False) if has_actions else None
     shape = (logs.num_trajectories, logs.horizon)
     nothing = Encoded(np.zeros((*shape, 1, 0)), np.ones((*shape, 1), dtype=bool), np.zeros(shape, dtype=np.int64))
-    clocks = trajectory_arrays(logs, nothing, known).clocks
-    spec = CensoringSpec("cox", by="pooled") if has_actions else CensoringSpec()
-    return CensoredOutcomes(low, max(high, low + 1e-9), spec).add(clocks, np.clip(total, low, high))
+    spec = CensoringSpec("cox", by="pooled") if has_actions else None
+    weighted = CensoredOutcomes(low, max(high, low + 1e-9), spec)
+    found = weighted.add(trajectory_arrays(logs, nothing, known).clocks, np.clip(total, low, high))
+    if weighted.num_too_cut:
+        notes.append(f"not counted in what it earns: {counted(weighted.num_too_cut, 'trajectory')} after too many cuts")
+    return found
 
 
 def _own_share(stored: StoredPolicy, logs: Logs) -> float:

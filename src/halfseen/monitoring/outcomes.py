@@ -132,12 +132,15 @@ LARGEST_WEIGHT = 4.0
 """Default upper limit of c."""
 FEWEST = 20
 """Number of trajectories for the first estimate of Ĝ; earlier ones get no weight."""
+LOST = 0.1
+"""Share of the weights' mass that cuts may take, besides 1/√n by chance of n trajectories: where few stay until late, a
+bounded weight does not make up for those that were cut, and outcomes lean to trajectories that end soon."""
 MORE = 1.5
 """Factor by which the number of trajectories grows between two estimates of Ĝ."""
 
 
 class Outcomes(NamedTuple):
-    """ξ and the range of each; NaN for the first trajectories, which are not weighted, and until one has finished."""
+    """ξ and the range of each; NaN for the first, until one has finished, and after too many cuts."""
 
     values: Float[np.ndarray, " n"]
     lows: Float[np.ndarray, " n"]
@@ -182,6 +185,9 @@ class CensoredOutcomes:
         self._totals = np.zeros(0)
         self._model: CutModel | None = None
         self._next, self._reach, self._weight, self._weighted = FEWEST, 1.0, 0.0, 0.0
+        self.num_too_cut = 0
+        """Number of trajectories that are not weighted because too many before them were cut."""
+        self._is_too_cut = False
 
     @property
     def num(self) -> int:
@@ -220,12 +226,20 @@ class CensoredOutcomes:
                 past = self._clocks.take(slice(0, begun))
                 # While none has finished, nothing is known of what one brings.
                 self._model = self._fitted(past) if past.is_finished.any() else None
-                self._reach = max(1.0, float(self._model.weights(past).max())) if self._model else 1.0
+                if self._model is not None:
+                    self._learn_reach(self._model.weights(past), past.is_finished)
                 self._next = max(int(MORE * begun), begun + 1)
             end = min(self.num, self._next)
+            self.num_too_cut += (end - begun) * self._is_too_cut
             parts.append(self._weighed(slice(begun, end)))
             begun = end
         return Outcomes(*(np.concatenate(each) for each in zip(*parts, strict=True))) if parts else _nothing(0)
+
+    def _learn_reach(self, weights: Float[np.ndarray, "n T"], is_finished: Bool[np.ndarray, " n"]) -> None:
+        """Learn the largest weight, and whether weights make up for the cuts, from earlier trajectories."""
+        self._reach = max(1.0, float(weights.max()))
+        lost = 1.0 - float(np.where(is_finished, weights.max(axis=1), 0.0).mean())
+        self._is_too_cut = lost > LOST + 1.0 / np.sqrt(len(weights))
 
     def _fitted(self, past: StageClocks) -> CutModel:
         try:
@@ -235,7 +249,7 @@ class CensoredOutcomes:
             return CensoringSpec(truncate_at=self.largest_weight).fit_cuts(past)
 
     def _weighed(self, which: slice) -> Outcomes:
-        if self._model is None or self._clocks is None:
+        if self._model is None or self._clocks is None or self._is_too_cut:
             return _nothing(which.stop - which.start)
         clocks, total = self._clocks.take(which), self._totals[which]
         finished = np.where(clocks.is_finished, self._model.weights(clocks).max(axis=1), 0.0).clip(max=self._reach)

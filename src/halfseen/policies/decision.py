@@ -79,9 +79,19 @@ class Decider(Protocol):
 
 
 SAME_VALUE = 1e-5
-"""Values that differ by less are tied [reward]; float32 cannot distinguish them."""
+"""Values that differ by less are tied, relative to the largest; float32 cannot distinguish them."""
 _LIKELIER = 0.05
 """Difference in the chance of being best from which the reason mentions another action."""
+
+
+def least_gap(values: Float[np.ndarray, " A"]) -> float:
+    """Difference up to which values are tied, whatever the unit of rewards [reward]."""
+    return SAME_VALUE * float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
+
+
+def written_gap(gap: float) -> str:
+    """Write a difference of values [reward]; one that two decimals would hide, with two digits."""
+    return f"{gap:.2f}" if gap >= 0.005 or not gap else f"{gap:.2g}"
 
 
 def next_best(q: Float[np.ndarray, " A"], best: int) -> int | None:
@@ -97,8 +107,8 @@ def lead(names: Sequence[str], q: Float[np.ndarray, " A"], best: int, chance_bes
     if other is None:
         return f"{names[best]}: no other action is possible"
     gap = float(q[best] - q[other])
-    is_same = gap < SAME_VALUE * max(1.0, abs(float(q[best])))
-    worth = f"worth as much as {names[other]}" if is_same else f"worth {gap:.2f} more than {names[other]}"
+    is_same = gap <= least_gap(q)
+    worth = f"worth as much as {names[other]}" if is_same else f"worth {written_gap(gap)} more than {names[other]}"
     return f"{names[best]}: {worth}{_how_sure(names[best], chance_best)}"
 
 
@@ -221,7 +231,7 @@ def certainty(
     stretch = np.hypot(np.sqrt(stages_left), lasting / spread if spread > 0 else 0.0)
     draws = _draws(q[is_possible], stretch * deviations[is_possible], block_of_action[is_possible])
     chance_best = np.zeros(len(q))
-    is_best = draws >= draws.max(axis=1, keepdims=True) - SAME_VALUE
+    is_best = draws >= draws.max(axis=1, keepdims=True) - least_gap(np.append(q[is_possible], stretch * spread))
     chance_best[is_possible] = [np.count_nonzero(of_action) / NUM_DRAWS for of_action in is_best.T]
     return Certainty(low, high, chance_best)
 

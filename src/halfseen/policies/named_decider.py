@@ -1,6 +1,6 @@
 """Decisions of policies of named actions, from the covariates of one stage, and their reasons."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
@@ -10,7 +10,16 @@ import numpy as np
 from halfseen.errors import LogError, PolicyError
 from halfseen.lazy import Frame
 from halfseen.learning.discrete_policy import DiscretePolicy, Valued
-from halfseen.policies.decision import SAME_VALUE, Decision, QError, certainty, lead, next_best, values_by_name
+from halfseen.policies.decision import (
+    Decision,
+    QError,
+    certainty,
+    lead,
+    least_gap,
+    next_best,
+    values_by_name,
+    written_gap,
+)
 from halfseen.policies.ranges import (
     Margins,
     Range,
@@ -193,10 +202,10 @@ def flat_reason(
     left = each[1:, best] - each[1:, other]
     least = int(np.argmin(left))
     name = policy.covariates[least]
-    if q[best] - q[other] - left[least] < SAME_VALUE:
+    if q[best] - q[other] - left[least] <= least_gap(q):
         return f"{start}; no covariate favours it more than its usual value does."
     is_value, is_other = _written(row[name], 6), _written(instead[name], 3)
-    would = f"worth {abs(left[least]):.2f} {'more' if left[least] >= 0 else 'less'} than {names[other]}"
+    would = f"worth {written_gap(abs(left[least]))} {'more' if left[least] >= 0 else 'less'} than {names[other]}"
     usual = "" if _is_switch(ranges[name], row[name]) else f" ({_usual(ranges[name])} in the logs)"
     return f"{start}; mainly because {name} is {is_value}: at {is_other}{usual}, it would be {would}."
 
@@ -267,8 +276,22 @@ def checked_stage(stage: Any, latest: int, where: str, what: str = "the policy's
         It is no whole number from 1 to `latest`, which is `what`.
     """
     if isinstance(stage, bool) or not (hasattr(stage, "__index__") and 1 <= int(stage) <= latest):
-        raise PolicyError(f"{where}: stage is {stage}; give a whole number from 1 to {what}{latest:,}")
+        raise PolicyError(f"{where}: stage is {stage!r:.40}; give a whole number from 1 to {what}{latest:,}")
     return int(stage)
+
+
+def stage_of(state: Mapping[str, Any], where: str, covariates: Collection[str] = ()) -> Any:
+    """The stage in a state; None if there is none.
+
+    Raises
+    ------
+    PolicyError
+        It is spelled otherwise and no covariate, so that stage 1 would be decided.
+    """
+    for name in state if "stage" not in state else ():
+        if str(name).strip().lower() == "stage" and name not in covariates:
+            raise PolicyError(f"{where}: it says {name!r}, which is not read; write it as 'stage', or leave it out")
+    return state.get("stage")
 
 
 def covariates_in_words(policy: DiscretePolicy) -> str:

@@ -19,6 +19,7 @@ from halfseen.policies.named_decider import (
     completed,
     covariates_in_words,
     known_covariates,
+    stage_of,
 )
 from halfseen.policies.ranges import Margins, RangesOfStage, everything, no_margins
 from halfseen.reading import json_of, read_bytes, read_text, reason_of
@@ -117,7 +118,7 @@ def read_covariates(
     states = _read_states(file, policy.categories)
     if len(states) != 1:
         raise PolicyError(f"{file}: it holds {len(states)} states; give one: a JSON object, or a header and one row")
-    state, said = states[0], states[0].get("stage")
+    state, said = states[0], stage_of(states[0], str(file), policy.covariates)
     full, filled = completed(policy, state)
     values = known_covariates(policy, full, str(file))
     if said is not None and stage not in (None, said):

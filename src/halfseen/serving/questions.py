@@ -21,6 +21,7 @@ from halfseen.policies.named_decider import (
     completed,
     covariates_in_words,
     known_covariates,
+    stage_of,
 )
 from halfseen.serving.in_service import InService
 from halfseen.serving.models import BODY, CloudRequest, Refusal, TableRequest, model_of
@@ -87,7 +88,8 @@ def seen_in_state(
         Its stage differs from the next stage to record, or that stage cannot begin.
     """
     next_stage = None if trajectories is None else trajectories.next_stage()
-    stage = checked_stage(state.get("stage", next_stage or 1), LATEST_STAGE, BODY, "")
+    said = stage_of(state, BODY, getattr(service.stored.policy, "covariates", ()))
+    stage = checked_stage(said if "stage" in state else next_stage or 1, LATEST_STAGE, BODY, "")
     _check_next(stage, next_stage)
     covariates = {name: value for name, value in state.items() if name != "stage"}
     if service.stored.is_table:

@@ -10,6 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple
 
+import numpy as np
 from msgspec import UNSET
 
 from halfseen.errors import LogError, PolicyError
@@ -108,6 +109,10 @@ class RecordedTrajectories:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self._recorder.close(None if self._resumes else STOPPED)
+
+    def draws(self, seed: int) -> np.random.Generator:
+        """Generator to explore by: another each time that recording begins, and other than that of a comparison."""
+        return np.random.default_rng([seed, self._recorder.num_earlier_stages, 1])
 
     def next_stage(self, *, is_of_cloud: bool = False) -> int:
         """Stage that the next decision begins, from 1.

@@ -7,6 +7,7 @@ import re
 import resource
 import zlib
 from contextlib import contextmanager, nullcontext
+from shutil import rmtree
 from warnings import catch_warnings, simplefilter
 
 import pytest
@@ -121,6 +122,22 @@ def test_a_disk_that_is_full_for_a_while_loses_nothing_that_was_taken(tmp_path):
     assert re.search(r"\((File too large|.*bytes were written)\); make room and give it again", told)
     assert 10 < num_kept[0] < 40
     check_all(tmp_path, 1, 40)
+
+
+def test_nothing_is_recorded_into_a_journal_that_was_deleted(tmp_path):
+    folder = tmp_path / "logs"
+    with LogRecorder(folder) as recorder:
+        record_trajectory(recorder, 0)
+        # Whoever moves the folder keeps all of it.
+        folder.rename(tmp_path / "kept")
+        record_trajectory(recorder, 1)
+        assert read_logs(tmp_path / "kept").num_trajectories == 2
+        rmtree(tmp_path / "kept")
+        with pytest.raises(LogError, match=r"journal.jsonl: it was deleted .* would be lost; open a new recorder"):
+            record_trajectory(recorder, 2)
+    with LogRecorder(folder) as recorder:
+        record_trajectory(recorder, 0)
+    assert read_logs(folder).num_trajectories == 1
 
 
 def test_a_disk_that_stays_broken_leaves_what_was_taken(tmp_path, monkeypatch):
