@@ -160,13 +160,20 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
         yield f"field = {_guess(cells, column, rows)}"
     texts = topic if column is None else list(dict.fromkeys(cells.columns[column][row] for row in rows))
     if key == "ending":
-        ends = list(filter(guesses.FINISHED_LIKE.search, texts)) or [text for text in texts if not text]
+        ends = list(filter(guesses.FINISHED_LIKE.search, texts)) or _blank_ends(cells, found, texts)
         yield f'finished = [{", ".join(map(_quoted, ends))}]  # guess: endings that are not cuts, "" for an empty cell'
     elif key == "action" or (key == "reward" and not are_numbers(texts)):
         names = list(map(_quoted, filter(None, texts)))[: 1 if key == "action" else 20]
         pairs = ", ".join(f"{name} = {name if key == 'action' else '1.0'}" for name in names)
         meaning = "its action, if that has another name" if key == "action" else "what each earns"
         yield f"# values = {{{pairs}}}  # {meaning}"
+
+
+def _blank_ends(cells: Cells, found: dict[str, str], texts: list[str]) -> list[str]:
+    """An empty text, unless each trajectory has another in its last row."""
+    names, ends = (cells.columns.get(found.get(key, ""), []) for key in ("trajectory", "ending"))
+    is_told = bool(names and ends) and all(dict(zip(names, ends, strict=True)).values())
+    return [] if is_told else [text for text in texts if not text]
 
 
 def _flag_lines(cells: Cells, found: dict[str, str]) -> Iterator[str]:
