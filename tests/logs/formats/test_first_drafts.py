@@ -1,5 +1,7 @@
 """Drafts of mappings: taken literally, they do not make a wrong log without a word."""
 
+import pytest
+
 STOPS = """run,tool,t,score,status
 1,a,1,0.5,
 1,b,2,1.5,{one}
@@ -12,3 +14,33 @@ def test_an_empty_cell_is_no_finish_where_each_trajectory_has_an_ending(draft):
     draft(STOPS.format(one="SUCCEEDED", other="PREEMPTED"), f'finished = ["SUCCEEDED"]  {told}')
     draft(STOPS.format(one="grün", other="rot"), f"finished = []  {told}")
     draft(STOPS.format(one="rot", other=""), f'finished = [""]  {told}')
+
+
+TIMES = "run,tool,{name},score,stop\n" + "".join(
+    f"{run},{'ab'[stage]},{{times[{2 * run + stage}]}},1,{'operator' * stage * run}\n"
+    for run in (0, 1)
+    for stage in (0, 1)
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "times", "since"),
+    [
+        ("cycle_ms", ["8000", "3000", "4000", "5000"], "stage"),
+        ("time", ["8,5", "8,5", "4", "5"], "stage"),
+        ("time", ["0:00:10", "0:00:04", "0:00:05", "0:00:09"], "stage"),
+        ("time", ["9,5", "10,25", "4", "5"], "trajectory"),
+        ("time", ["0:00:04", "0:00:10", "26:00:05", "26:00:09"], "trajectory"),
+        ("time", ["10", "4", "5", "2"], "trajectory"),
+    ],
+)
+def test_times_that_fall_within_trajectories_count_from_each_stage(draft, name, times, since):
+    text = TIMES.replace(",", ";").format(name=name, times=times)
+    other = {"stage": "trajectory", "trajectory": "stage"}[since]
+    draft(text, f'since = "{since}"  # guess: numbers count from there, or from the "{other}"')
+
+
+def test_numbers_that_are_dates_do_not_count_from_a_beginning(draft):
+    times = [f"17724312{second}000000000" for second in ["08", "11", "20", "35"]]
+    made = draft(TIMES.format(name="%time", times=times), '# begin = "COLUMN"  # no column looks like it')
+    assert "since" not in made

@@ -5,6 +5,7 @@ import re
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import msgspec
@@ -13,6 +14,7 @@ from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
 from halfseen.logs.folder import TEXT_FILES, WORKBOOKS
 from halfseen.logs.formats import guesses
+from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS
 from halfseen.logs.formats.guesses import Guesses, are_numbers
 from halfseen.logs.formats.table_cells import (
     ROW,
@@ -24,7 +26,15 @@ from halfseen.logs.formats.table_cells import (
     without_missing,
 )
 from halfseen.logs.formats.table_mapping import TextLayout
-from halfseen.logs.formats.table_values import MISSING_TEXTS, TIME_OF_DAY, is_numeric, marks_of, thousands_mark
+from halfseen.logs.formats.table_values import (
+    LASTED,
+    MISSING_TEXTS,
+    NANOSECONDS,
+    TIME_OF_DAY,
+    is_numeric,
+    marks_of,
+    thousands_mark,
+)
 
 _NO_BEGIN = '# begin = "COLUMN"  # no column looks like it'
 
@@ -118,10 +128,8 @@ def _clock_lines(table: Guesses, has_topic: bool) -> Iterator[str]:
     yield time("clock.field")
     formats = guesses.date_formats(texts)
     begin = time("clock.begin") if "clock.begin" in found else None
-    if not formats:
-        yield f'unit = "{_unit(found["clock.field"], texts)}"  # guess: s, ms, us, ns, min, h or d'
-        since = 'since = "trajectory"  # guess: numbers count from there, or from the "stage"'
-        yield begin or ("# " if has_topic else "") + since
+    if not formats or (not has_topic and begin is None and all(map(LASTED.fullmatch, texts))):
+        yield from _count_lines(table, texts, begin, has_topic)
         return
     if len(formats) > 1:
         yield "# The order of day and month cannot be guessed; choose one:"
@@ -134,6 +142,34 @@ def _clock_lines(table: Guesses, has_topic: bool) -> Iterator[str]:
     if not has_topic:
         yield "# Column of the time at which a stage began."
         yield begin or _NO_BEGIN
+
+
+def _count_lines(table: Guesses, texts: Sequence[str], begin: str | None, has_topic: bool) -> Iterator[str]:
+    """Lines of a clock of numbers, or of hours, minutes and seconds since a beginning."""
+    if not all(map(LASTED.fullmatch, texts)):
+        unit = _unit(table.found["clock.field"], texts)
+        yield f'unit = "{unit}"  # guess: s, ms, us, ns, min, h or d'
+        earliest = min((parts[0] for parts in map(_parts, texts) if parts), default=0.0)
+        if begin is None and not has_topic and earliest * NANOSECONDS[unit] >= EARLIEST_DATE_NS:
+            yield _NO_BEGIN
+            return
+    since, other = ("stage", "trajectory") if _restarts(table, texts) else ("trajectory", "stage")
+    told = f'since = "{since}"  # guess: numbers count from there, or from the "{other}"'
+    yield begin or ("# " if has_topic else "") + told
+
+
+def _restarts(table: Guesses, texts: Sequence[str]) -> bool:
+    """Whether times rise and fall, or stay, within trajectories: each counts from the beginning of its stage."""
+    if "trajectory" not in table.found or table.pattern:
+        return False
+    rows = zip(table.cells.columns[table.found["trajectory"]], map(_parts, texts), strict=True)
+    steps = [(before, after) for (one, before), (other, after) in pairwise(rows) if one == other]
+    return any(after <= before for before, after in steps) and any(after >= before for before, after in steps)
+
+
+def _parts(text: str) -> list[float]:
+    """The numbers in a time."""
+    return [float(part) for part in re.findall(r"\d+(?:\.\d+)?", text.replace(",", "."))]
 
 
 def _unit(name: str, texts: Sequence[str]) -> str:

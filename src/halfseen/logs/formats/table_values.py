@@ -159,7 +159,7 @@ def refuse_most_numbers(cells: Cells, rows: Sequence[int], column: str) -> None:
 NANOSECONDS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9}
 NANOSECONDS |= {"h": 3600 * 10**9, "d": 86400 * 10**9}
 ISO = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?)?( ?(Z|[+-]\d\d(:?\d\d)?))?")
-_LASTED = re.compile(r"(?:(\d{1,4}) days? ?)?(\d{1,4}):([0-5]\d):([0-5]\d)(?:[.,](\d{1,9}))?")
+LASTED = re.compile(r"(?:(\d{1,4}) days? ?)?(\d{1,4}):([0-5]\d):([0-5]\d)(?:[.,](\d{1,9}))?")
 _ZONED = re.compile(r":.*(Z|[+-]\d\d(?::?\d\d)?)$")
 _HOUR_NS = 3600 * 10**9
 _DAY_ALONE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}")
@@ -325,7 +325,7 @@ def _lasted(cells: Cells, column: str) -> Stamps:
     """Read durations such as 1:02:03.5, or 1 days 00:02:03 as pandas writes them."""
     stamps = np.zeros(len(cells.rows), dtype=np.int64)
     for row, cell in enumerate(cells.columns[column]):
-        if (match := _LASTED.fullmatch(cell)) is None:
+        if (match := LASTED.fullmatch(cell)) is None:
             cells.refuse(row, column, "counts since a beginning; set clock.unit: s, ms, us, ns, min, h or d")
         *parts, fraction = match.groups("0")
         stamps[row] = int(np.dot([86400, 3600, 60, 1], [*map(int, parts)])) * 10**9 + int(fraction.ljust(9, "0"))
