@@ -44,3 +44,35 @@ def test_numbers_that_are_dates_do_not_count_from_a_beginning(draft):
     times = [f"17724312{second}000000000" for second in ["08", "11", "20", "35"]]
     made = draft(TIMES.format(name="%time", times=times), '# begin = "COLUMN"  # no column looks like it')
     assert "since" not in made
+
+
+TRIAL = """USUBJID,VISITDY,EXTRT,CHG,DSDECOD
+AB-1,8,low,0.5,
+AB-1,15,high,1.5,COMPLETED
+AB-2,7,low,,LOST TO FOLLOW-UP
+"""
+STUDY = """subject,ts,treatment,outcome,censored
+1,8,low,0.5,FALSE
+1,15,high,1.5,FALSE
+2,7,low,,TRUE
+"""
+
+
+def test_a_trial_is_recognised_and_a_fraction_ends_nothing(draft):
+    draft(
+        TRIAL,
+        "field = \"USUBJID\"  # guess: such as 'AB-1' and 'AB-2'",
+        "field = \"VISITDY\"  # guess: such as '8' and '15'",
+        "field = \"EXTRT\"  # guess: such as 'low' and 'high'",
+        "field = \"DSDECOD\"  # guess: such as 'COMPLETED' and 'LOST TO FOLLOW-UP'",
+    )
+    made = draft(
+        STUDY,
+        "field = \"subject\"  # guess: such as '1' and '2'",
+        "field = \"ts\"  # guess: such as '8' and '15'",
+        "field = \"treatment\"  # guess: such as 'low' and 'high'",
+        "[reward]",
+        "field = \"outcome\"  # guess: such as '0.5' and '1.5'",
+    )
+    assert "\n[ending]" not in made
+    draft(STUDY.replace("outcome", "result"), "# [ending]")

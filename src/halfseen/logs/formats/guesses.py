@@ -182,6 +182,10 @@ def _are_words(texts: Sequence[str]) -> bool:
     return not are_numbers(texts)
 
 
+def _has_fractions(texts: Sequence[str]) -> bool:
+    return are_numbers(texts) and not all(map(WHOLE.fullmatch, filter(None, texts)))
+
+
 _FITS: dict[str, Callable[[Sequence[str]], bool]] = {
     "clock.field": _are_times,
     "clock.begin": _are_times,
@@ -189,7 +193,7 @@ _FITS: dict[str, Callable[[Sequence[str]], bool]] = {
     "reward": are_numbers,
     "action": _are_words,
     "topic": _are_words,
-    "ending": lambda texts: not date_formats(list(filter(None, texts))),
+    "ending": lambda texts: not date_formats(list(filter(None, texts))) and not _has_fractions(texts),
 }
 """What the cells of a key must be, besides the name of the column."""
 
