@@ -76,3 +76,18 @@ def test_a_trial_is_recognised_and_a_fraction_ends_nothing(draft):
     )
     assert "\n[ending]" not in made
     draft(STUDY.replace("outcome", "result"), "# [ending]")
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("VISITDY", "d"),
+        ("Day", "d"),
+        ("Elapsed Hours", "h"),
+        ("Dauer Minuten", "min"),
+        ("TimeMs", "ms"),
+        ("time_s", "s"),
+    ],
+)
+def test_the_unit_is_taken_from_the_name_however_it_is_written(draft, name, unit):
+    draft(TRIAL.replace("VISITDY", name), f'unit = "{unit}"  # guess: s, ms, us, ns, min, h or d')

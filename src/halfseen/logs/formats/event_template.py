@@ -36,6 +36,13 @@ from halfseen.logs.formats.table_values import (
     thousands_mark,
 )
 
+_UNIT_WORDS = {
+    "ms": "milli(s|secs?|seconds?)|(?-i:[a-z]Ms)",
+    "us": "micro(s|secs?|seconds?)",
+    "ns": "nano(s|secs?|seconds?)",
+}
+_UNIT_WORDS |= {"s": "secs?|seconds?|sekunden", "min": "mins?|minutes?|minuten", "h": "hrs?|hours?|stunden"}
+_UNIT_WORDS |= {"d": "days?|dy|tage?"}
 _NO_BEGIN = '# begin = "COLUMN"  # no column looks like it'
 
 
@@ -174,10 +181,12 @@ def _parts(text: str) -> list[float]:
 
 def _unit(name: str, texts: Sequence[str]) -> str:
     """The unit of a column's name; or of dates as a spreadsheet counts them since 1900, or others since 1970."""
-    unit = re.search(r"(?<![a-z])(ms|us|ns|min|s|h|d)(?:ays?)?\W*$", name)
+    unit = re.search(r"(?<![A-Za-z])(ms|us|ns|min|s|h|d)\W*$", name)
+    word = next((unit for unit, like in _UNIT_WORDS.items() if re.search(rf"({like})\W*$", name, re.IGNORECASE)), None)
     are_days = all(re.fullmatch(r"[2-7]\d{4}[.,]\d+", text) for text in texts)
     lengths = {len(re.split("[.,]", text)[0]) for text in texts}
-    return unit[1] if unit else "d" if are_days else {13: "ms", 16: "us", 19: "ns"}.get(min(lengths), "s")
+    by_size = "d" if are_days else {13: "ms", 16: "us", 19: "ns"}.get(min(lengths), "s")
+    return unit[1] if unit else word or by_size
 
 
 def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]) -> Iterator[str]:
