@@ -91,3 +91,16 @@ def test_a_trial_is_recognised_and_a_fraction_ends_nothing(draft):
 )
 def test_the_unit_is_taken_from_the_name_however_it_is_written(draft, name, unit):
     draft(TRIAL.replace("VISITDY", name), f'unit = "{unit}"  # guess: s, ms, us, ns, min, h or d')
+
+
+def test_what_no_event_looks_like_is_told_with_its_event(draft):
+    made = draft(
+        "ts,event,value\n"
+        + "".join(f"{second},{tag},{second}\n" for second, tag in enumerate(["START", "GRIP", "PV"])),
+        '# topic = "EVENT"  # no event looks like it; if one carries it, name both',
+        "field = \"value\"  # guess: such as '0' and '1'",
+        "# field = \"COLUMN\"  # no column looks like it; there are 'ts', 'event', 'value'",
+    )
+    assert made.count('# topic = "EVENT"') == 2  # of rewards and endings
+    made = draft(TRIAL.replace("USUBJID", "NAME"), "# [trajectory]")
+    assert "'DSDECOD'; without it, each file is one trajectory" in made

@@ -36,6 +36,7 @@ from halfseen.logs.formats.table_values import (
     thousands_mark,
 )
 
+_NO_TOPIC = '# topic = "EVENT"  # no event looks like it; if one carries it, name both'
 _UNIT_WORDS = {
     "ms": "milli(s|secs?|seconds?)|(?-i:[a-z]Ms)",
     "us": "micro(s|secs?|seconds?)",
@@ -94,7 +95,7 @@ def _template(file: str, table: Guesses) -> Iterator[str]:
         topic = [] if key == "trajectory" and key in found else like.get(key, [])
         if key == "ending" and "ending.finished" in found and not topic:
             yield from ("", *_flag_lines(cells, found))
-        elif key in found or topic or key in ("action", "reward", "ending"):
+        elif key in found or topic or key in ("trajectory", "action", "reward", "ending"):
             yield from ("", *_entry_lines(cells, key, found, topic))
     yield from _covariate_lines(cells, found, [one for one in topics if not any(one in each for each in like.values())])
 
@@ -194,11 +195,20 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
     rows = _rows(cells, found, topic)
     column = _filled(cells, found, key, rows) if topic else found.get(key)
     if column is None and not topic:
-        yield from (f"# [{key}]", f'# field = "COLUMN"  # no column looks like it; there are {_names(cells)}')
+        told = f"there are {_names(cells)}" + (
+            "; without it, each file is one trajectory" if key == "trajectory" else ""
+        )
+        yield from (
+            f"# [{key}]",
+            *[_NO_TOPIC] * ("topic" in found),
+            f'# field = "COLUMN"  # no column looks like it; {told}',
+        )
         if key == "ending" and "topic" not in found:
             yield '# finished = "rewarded"  # if every trajectory finished whose last stage has a reward'
         return
     yield f"[{key}]"
+    if not topic and "topic" in found and key != "trajectory":
+        yield _NO_TOPIC
     if topic:
         yield f"topic = [{', '.join(map(_quoted, topic))}]  # guess: these events carry it"
     if column is not None:
