@@ -13,7 +13,7 @@ from halfseen.logs.columns import shown
 from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, Event
 from halfseen.logs.formats.bags import Trajectory
 from halfseen.logs.formats.guesses import BEGIN_LIKE
-from halfseen.logs.formats.table_cells import Cells
+from halfseen.logs.formats.table_cells import ROW, Cells
 from halfseen.logs.formats.table_mapping import Clock, EventMapping
 from halfseen.logs.formats.table_values import MISSING_TEXTS, NANOSECONDS, NO_CAUSES, Stamps
 from halfseen.suggestions import folded
@@ -77,6 +77,17 @@ def warn_of_respelled_events(cells: Cells, mapping: EventMapping) -> None:
         if meant is not None and event not in mapped:
             trouble = f"{count:,} events {shown(event)} are not mapped, and differ from {shown(meant)} only in spelling"
             warn(cells.file, f"{trouble}; name them in the mapping, too, if they are the same")
+
+
+def warn_of_repeats(cells: Cells, mapping: EventMapping) -> None:
+    """Warn about rows that repeat the one above, where no clock tells whether a stage was written twice."""
+    columns = [texts for name, texts in cells.columns.items() if name != ROW]
+    whole = list(zip(*columns, strict=True)) if mapping.clock.since == "stage" else []
+    repeats = [row for row in range(1, len(whole)) if whole[row] == whole[row - 1]]
+    if repeats:
+        rest = f", as do {len(repeats):,} rows" if len(repeats) > 1 else ""
+        trouble = f"it repeats the one above{rest}, and counts as a stage of its own"
+        warn(cells.place(repeats[0]), f"{trouble}; if it was written twice, delete it")
 
 
 def warn_of_rows_apart(cells: Cells, groups: Groups, mapping: EventMapping) -> None:

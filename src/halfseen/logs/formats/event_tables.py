@@ -70,6 +70,7 @@ def read_event_table(
     _check_columns(cells, wanted, file)
     event_doubts.warn_of_respelled_events(cells, wanted)
     cells = cells if wanted.topic is None else _without_repeats(cells)
+    event_doubts.warn_of_repeats(cells, wanted)
     needed = {name: wanted.origin(f"covariates.{name}") for name in wanted.covariates}
     late: Counter[str] = Counter()
     finishing, remedy = wanted.ending.finishing, _remedy_after_ending(cells, wanted)
