@@ -2,6 +2,8 @@
 
 import pytest
 
+from refusals import refused
+
 STOPS = """run,tool,t,score,status
 1,a,1,0.5,
 1,b,2,1.5,{one}
@@ -104,3 +106,29 @@ def test_what_no_event_looks_like_is_told_with_its_event(draft):
     assert made.count('# topic = "EVENT"') == 2  # of rewards and endings
     made = draft(TRIAL.replace("USUBJID", "NAME"), "# [trajectory]")
     assert "'DSDECOD'; without it, each file is one trajectory" in made
+
+
+WAVES = "id,x1,treat1,day1,score1,x2,treat2,day2,score2\n1,0.5,low,3,1.5,.,,.,.\n2,0.7,high,4,0.5,0.25,low,9,2.5\n"
+
+
+def test_a_point_alone_is_what_stata_and_sas_write_for_nothing(draft):
+    made = draft(
+        WAVES, 'missing = ["."]  # guess: texts of empty cells', 'unit = "d"  # guess: s, ms, us, ns, min, h or d'
+    )
+    assert (
+        "field = \"score\"  # guess: such as '1.5' and '0.5'" in made[made.index("[reward]") : made.index("[ending]")]
+    )
+
+
+def test_a_time_that_lasts_needs_no_unit(read_table):
+    mapping = """
+        clock = {field = "took", unit = "s", since = "trajectory"}
+        trajectory = {field = "run"}
+        action = {field = "tool"}
+        reward = {field = "worth"}
+        ending = {field = "stop", finished = ["ok"]}
+    """
+    text = "run,tool,took,worth,stop\n1,a,0:00:08,1,\n1,b,26:00:00,2,ok\n"
+    with refused(r"line 2, column 'took': '0:00:08' .* it counts by itself; leave clock\.unit out"):
+        read_table(text, mapping)
+    assert read_table(text, mapping.replace('unit = "s", ', "")).stages["elapsed_s"].tolist() == [8.0, 93600.0]
