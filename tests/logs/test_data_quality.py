@@ -134,6 +134,10 @@ def without_probability(tables):
          r"^half of the stages last \S+e-06 s or less: are clocks in days, hours or thousands of seconds\?$"),
         (in_text_order, "text-order", "where 'run-109' comes before 'run-11', and that order"),
         (reward_as_distance, "reward-as-covariate", "^all {completed} rewards equal distance: was the wrong column"),
+        (lambda tables: tables["stages"].insert(0, "tool", tables["stages"]["action"]), "action-as-covariate",
+         "^covariate tool is the action of its own stage in all {stages} stages, which nobody knew before: leave it"),
+        (stages("distance", 0.75, late), "stuck-sensor",
+         "^covariate distance is 0.75 in 60 successive trajectories, from 60 to 119, and differs from each other one"),
         *(
             (stages(name, lambda values: values * 1e6, late), "mixed-covariate-units", f"^covariate {name} is around")
             for name in ("distance", "offset")
@@ -161,6 +165,14 @@ def test_what_was_probably_not_meant_is_asked_about_and_nothing_else(tables, cha
     told = found(tables)
     assert set(told) == {kind}
     assert re.search(sentence.format(**counts), told[kind])
+
+
+def test_a_value_that_stays_is_no_stuck_sensor_where_it_may(tables):
+    rows = tables["stages"]
+    rows["setting"] = rows["trajectory"] // 40 * 0.5  # three settings, each kept for 40 trajectories
+    rows["start"] = rows["distance"].where((rows["stage"] > 1) | (rows["trajectory"] < 60), 0.25)  # a new default
+    rows["few"] = rows["distance"].where(rows["trajectory"] < 100, 0.25)
+    assert found(tables) == {}
 
 
 def test_cuts_in_one_stage(tables):
