@@ -132,3 +132,15 @@ def test_a_time_that_lasts_needs_no_unit(read_table):
     with refused(r"line 2, column 'took': '0:00:08' .* it counts by itself; leave clock\.unit out"):
         read_table(text, mapping)
     assert read_table(text, mapping.replace('unit = "s", ', "")).stages["elapsed_s"].tolist() == [8.0, 93600.0]
+
+
+def test_durations_of_a_workbook_are_days_and_a_clock_on_the_wall_counts_from_nothing(draft):
+    days = [repr(seconds / 86400.0) for seconds in (8, 19, 75, 90061)]
+    draft(TIMES.format(name="duration", times=days), 'unit = "d"  # guess: s, ms, us, ns, min, h or d')
+    draft(
+        TIMES.format(name="duration", times=[0.5, 1.25, 2.5, 3.125]), 'unit = "s"  # guess: s, ms, us, ns, min, h or d'
+    )
+    made = draft(
+        TIMES.format(name="tod", times=["06:00:02", "06:00:08", "06:01:00", "06:01:05"]), 'format = "%H:%M:%S"  # guess'
+    )
+    assert "since" not in made

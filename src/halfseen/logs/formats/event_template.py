@@ -136,7 +136,8 @@ def _clock_lines(table: Guesses, has_topic: bool) -> Iterator[str]:
     yield time("clock.field")
     formats = guesses.date_formats(texts)
     begin = time("clock.begin") if "clock.begin" in found else None
-    if not formats or (not has_topic and begin is None and all(map(LASTED.fullmatch, texts))):
+    are_lasting = not has_topic and begin is None and all(map(LASTED.fullmatch, texts)) and not _runs_on(table, texts)
+    if not formats or are_lasting:
         yield from _count_lines(table, texts, begin, has_topic)
         return
     if len(formats) > 1:
@@ -166,6 +167,13 @@ def _count_lines(table: Guesses, texts: Sequence[str], begin: str | None, has_to
     yield begin or ("# " if has_topic else "") + told
 
 
+def _runs_on(table: Guesses, texts: Sequence[str]) -> bool:
+    """Whether hours, minutes and seconds seldom fall back from row to row, as those of a clock on the wall."""
+    names = table.cells.columns[table.found["trajectory"]] if "trajectory" in table.found else []
+    num_falls = sum(after < before for before, after in pairwise(map(_parts, texts)))
+    return 2 * num_falls < len(set(names)) - 1 or not num_falls
+
+
 def _restarts(table: Guesses, texts: Sequence[str]) -> bool:
     """Whether times rise and fall, or stay, within trajectories: each counts from the beginning of its stage."""
     if "trajectory" not in table.found or table.pattern:
@@ -177,17 +185,24 @@ def _restarts(table: Guesses, texts: Sequence[str]) -> bool:
 
 def _parts(text: str) -> list[float]:
     """The numbers in a time."""
-    return [float(part) for part in re.findall(r"\d+(?:\.\d+)?", text.replace(",", "."))]
+    return [float(part) for part in re.findall(r"\d+(?:\.\d+)?(?:[eE]-?\d+)?", text.replace(",", "."))]
 
 
 def _unit(name: str, texts: Sequence[str]) -> str:
     """The unit of a column's name; or of dates as a spreadsheet counts them since 1900, or others since 1970."""
     unit = re.search(r"(?<![A-Za-z])(ms|us|ns|min|s|h|d)\W*$", name)
     word = next((unit for unit, like in _UNIT_WORDS.items() if re.search(rf"({like})\W*$", name, re.IGNORECASE)), None)
-    are_days = all(re.fullmatch(r"[2-7]\d{4}[.,]\d+", text) for text in texts)
+    are_days = all(re.fullmatch(r"[2-7]\d{4}[.,]\d+", text) for text in texts) or _are_seconds_in_days(texts)
     lengths = {len(re.split("[.,]", text)[0]) for text in texts}
     by_size = "d" if are_days else {13: "ms", 16: "us", 19: "ns"}.get(min(lengths), "s")
     return unit[1] if unit else word or by_size
+
+
+def _are_seconds_in_days(texts: Sequence[str]) -> bool:
+    """Whether all numbers are fractions of days, of whole seconds, as a workbook holds durations."""
+    numbers = [parts[0] for parts in map(_parts, texts) if parts]
+    are_long = any(re.search(r"[.,]\d{8}|[eE]-", text) for text in texts)
+    return are_long and all(abs(number * 86400.0 - round(number * 86400.0)) < 1e-3 for number in numbers)
 
 
 def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]) -> Iterator[str]:

@@ -162,7 +162,8 @@ def _span(cells: Cells) -> dict[str, str]:
 def _other_times(cells: Cells, found: dict[str, str]) -> dict[str, str]:
     """A column of times not found by its name; with one row per stage, also the end if the one found is a beginning."""
     times = (name for name in cells.columns if name not in found.values() and date_formats(cells.columns[name]))
-    first = found.get("clock.field") or next(times, None)
+    lasting = (name for name, texts in cells.columns.items() if _OTHERS["duration"].search(name) and _are_times(texts))
+    first = found.get("clock.field") or next(times, None) or next(lasting, None)
     is_begin = first is not None and BEGIN_LIKE.search(first) is not None
     if is_begin and not {"topic", "clock.begin"} & set(found) and (end := next(times, None)) is not None:
         return {"clock.begin": str(first), "clock.field": end}
