@@ -144,3 +144,9 @@ def test_durations_of_a_workbook_are_days_and_a_clock_on_the_wall_counts_from_no
         TIMES.format(name="tod", times=["06:00:02", "06:00:08", "06:01:00", "06:01:05"]), 'format = "%H:%M:%S"  # guess'
     )
     assert "since" not in made
+
+
+def test_whole_numbers_may_name_actions(draft):
+    steps = "ep,t,action,reward,done\n1,1.5,0,0.5,false\n1,2.5,3,0.25,true\n"
+    draft(steps, "field = \"ep\"  # guess: such as '1'", "field = \"action\"  # guess: such as '0' and '3'")
+    draft(steps.replace(",3,", ",0.5,"), "# [action]")

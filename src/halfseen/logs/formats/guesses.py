@@ -33,7 +33,8 @@ _BY_STAGE = (
 _DAYS = ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y", "%d.%m.%y", "%d/%m/%y", "%m/%d/%y")
 _DAYS += ("%d-%b-%Y", "%d-%b-%y")
 _TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M %p")
-_ROWS_LOOKED_AT = 1000
+_ROWS_LOOKED_AT, MOST_NUMBERED = 1000, 20
+"""Number of first dates that are read; and of numbers that may name actions."""
 
 
 class Guesses(NamedTuple):
@@ -183,8 +184,8 @@ def _are_words(texts: Sequence[str]) -> bool:
     return not are_numbers(texts)
 
 
-def _has_fractions(texts: Sequence[str]) -> bool:
-    return are_numbers(texts) and not all(map(WHOLE.fullmatch, filter(None, texts)))
+def _are_whole(texts: Sequence[str]) -> bool:
+    return all(map(WHOLE.fullmatch, filter(None, texts)))
 
 
 _FITS: dict[str, Callable[[Sequence[str]], bool]] = {
@@ -192,9 +193,9 @@ _FITS: dict[str, Callable[[Sequence[str]], bool]] = {
     "clock.begin": _are_times,
     "probability": are_numbers,
     "reward": are_numbers,
-    "action": _are_words,
+    "action": lambda texts: _are_words(texts) or (_are_whole(texts) and len(set(texts)) <= MOST_NUMBERED),
     "topic": _are_words,
-    "ending": lambda texts: not date_formats(list(filter(None, texts))) and not _has_fractions(texts),
+    "ending": lambda texts: not date_formats(list(filter(None, texts))) and (_are_words(texts) or _are_whole(texts)),
 }
 """What the cells of a key must be, besides the name of the column."""
 
