@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from halfseen.errors import warn
-from halfseen.logs.columns import shown
+from halfseen.logs.columns import CUT, shown
 from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, Event
 from halfseen.logs.formats.bags import Trajectory
 from halfseen.logs.formats.guesses import BEGIN_LIKE
@@ -140,6 +140,25 @@ def warn_of_late(cells: Cells, mapping: EventMapping, late: Counter[str]) -> Non
             cells.file,
             f"{late.total():,} values of {names} have the time of an action, but come after it in the file: the "
             "earlier value was used; write them before the action if they were known by then",
+        )
+
+
+def is_stale(trajectory: Trajectory, events: Sequence[Event]) -> bool:
+    """Whether nothing was seen between the last reward and the cut, so that the covariates before stand there, too."""
+    if trajectory.ending != CUT or not trajectory.stages or trajectory.stages[-1]["action"] is not None:
+        return False
+    last = max((k for k, event in enumerate(events) if event.key == "reward"), default=0)
+    return not any(event.key.startswith("covariates.") for event in events[last:])
+
+
+def warn_of_stale(cells: Cells, mapping: EventMapping, num_stale: int) -> None:
+    """Warn about trajectories, counted by `is_stale`, in which a stage begins that no row tells of."""
+    if num_stale and mapping.covariates:
+        which = "trajectory was" if num_stale == 1 else "trajectories were"
+        warn(
+            cells.file,
+            f"{num_stale:,} {which} cut after a reward, and no row says what was seen then: the covariates of the row "
+            "before stand for it; add a row with what was seen, without an action, or leave that reward empty",
         )
 
 

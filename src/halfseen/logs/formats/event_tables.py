@@ -74,14 +74,16 @@ def read_event_table(
     needed = {name: wanted.origin(f"covariates.{name}") for name in wanted.covariates}
     late: Counter[str] = Counter()
     finishing, remedy = wanted.ending.finishing, _remedy_after_ending(cells, wanted)
-    found = []
+    found, num_stale = [], 0
     for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
         late.update(event_doubts.late_covariates(events))
         called = number if name is None else name
         trajectory = Trajectory(called, needed, finishing, cause=LOG_ENDED, remedy=remedy)
         trajectory.follow(events)
+        num_stale += wanted.topic is None and event_doubts.is_stale(trajectory, events)
         if is_seen(Path(cells.file), trajectory):
             found.append(trajectory)
+    event_doubts.warn_of_stale(cells, wanted, num_stale)
     event_doubts.warn_of_late(cells, wanted, late)
     if wanted.clock.since == "trajectory":
         event_doubts.warn_of_running_clock(cells, wanted.clock, found)
