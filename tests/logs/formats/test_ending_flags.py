@@ -60,8 +60,8 @@ def test_an_ending_may_be_flags_of_the_row_that_acts(read_table, draft):
         ('finished = {field = "terminated"}, ', "", r"ending\.finished: it is not a flag, but cut is; set finished"),
         ('"truncated"', '"truncate"', r"ending\.cut\.field: there is no column 'truncate' .*did you mean 'truncated'"),
         ('"terminated"', '"worth"', r"line 2, column 'worth': '2.5' is neither true nor false"),
-        ('"run"', '"tool"', r"the ending must be last by the clock; .* have column 'tool' distinguish the "
-        "trajectories"),
+        ('"run"', '"tool"', r"the ending must be last by the clock; fix the times, leave flags terminated or truncated "
+         "empty in all rows but the last, or have column 'tool' distinguish the trajectories"),
         ('trajectory = {field = "run"}\n', "", r"map \[trajectory\], the column of its name or the event that begins"),
         ('{field = "terminated"}, cut = {field = "truncated"}', '["true"], field = "terminated"',
          r"action comes at 4 s, after its ending .*; column 'terminated' is true or false, so set finished = \{field"),
@@ -85,3 +85,18 @@ def test_what_was_seen_when_a_trajectory_was_cut_after_its_reward_is_asked_for(r
     logs = read_table(rows.format(2, "").replace("2,no,yes\n", "2,no,no\na,,3,2,,no,yes\n"), BY_FLAGS)
     assert logs.stages["left"].tolist() == [5.0, 4.0, 3.0, 5.0]
     assert read_table(rows.format("", ""), BY_FLAGS).stages["left"].tolist() == [5.0, 4.0, 5.0]
+
+
+def test_rows_with_the_newest_first_are_told_to_be_sorted(read_table):
+    first, *rows = FLAGGED.splitlines()
+    with refused(
+        r"after its ending at 4 s; the oldest row must be first, since times count from each stage; sort the "
+    ):
+        read_table("\n".join([first, *rows[:2][::-1]]), BY_FLAGS.replace('"trajectory"}', '"stage"}'))
+    by_reward = BY_FLAGS.replace(
+        '{finished = {field = "terminated"}, cut = {field = "truncated"}}', '{finished = "rewarded"}'
+    )
+    with refused(
+        r"must be last by the clock; fix the times, give every row but the last a reward, or have column 'run'"
+    ):
+        read_table("\n".join([first, rows[0].replace("2.5", ""), rows[1]]), by_reward)
