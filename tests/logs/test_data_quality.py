@@ -107,6 +107,17 @@ def reward_as_distance(tables):
     rows["reward"] = rows["distance"].where(rows["elapsed_s"].notna())
 
 
+def an_hour_early(tables):
+    for name, column in (("stages", "elapsed_s"), ("trajectories", "end_s")):
+        tables[name].loc[tables[name]["trajectory"] >= 60, column] += 3600.0
+
+
+def of_a_slow_clock(tables):
+    for name, column in (("stages", "elapsed_s"), ("trajectories", "end_s")):
+        tables[name].loc[tables[name]["trajectory"] % 4 == 3, column] *= 20.0
+    tables["stages"]["robot"] = "r" + (tables["stages"]["trajectory"] % 4).astype(str)
+
+
 def late(rows):
     return rows["trajectory"] >= 60
 
@@ -132,6 +143,10 @@ def without_probability(tables):
          r"^stages of trajectory \d+ last .* about 1,000 times as long as those of all others .* in milliseconds\?$"),
         (lambda tables: in_milliseconds(tables, 10**6, 1e-6), "short-clock",
          r"^half of the stages last \S+e-06 s or less: are clocks in days, hours or thousands of seconds\?$"),
+        (an_hour_early, "mixed-clock-units",
+         r"with none in between: do some clocks start 3,60\d s before the trajectory, as after a shift or in another "),
+        (of_a_slow_clock, "clock-of-robot",
+         r"^stages of robot 'r3' last \S+ s, and those of all others \S+ s: is its clock right\?$"),
         (in_text_order, "text-order", "where 'run-109' comes before 'run-11', and that order"),
         (reward_as_distance, "reward-as-covariate", "^all {completed} rewards equal distance: was the wrong column"),
         (lambda tables: tables["stages"].insert(0, "tool", tables["stages"]["action"]), "action-as-covariate",

@@ -29,7 +29,7 @@ from halfseen.logs.grouping import (
     rows_with,
 )
 from halfseen.logs.logs import Logs
-from halfseen.logs.mixed_units import long_clocks, mixed_clocks, mixed_covariates, short_clocks
+from halfseen.logs.mixed_units import clocks_of_robots, long_clocks, mixed_clocks, mixed_covariates, short_clocks
 from halfseen.logs.plausibility import (
     MOST_EXPLAINED,
     cuts_called_finished,
@@ -328,6 +328,7 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "horizon-as-cut": _horizons,
     "cuts-in-one-stage": _one_stage,
     "mixed-clock-units": mixed_clocks,
+    "clock-of-robot": clocks_of_robots,
     "long-clock": long_clocks,
     "short-clock": short_clocks,
     "running-clock": _running_clocks,
