@@ -41,10 +41,10 @@ cause of cut  trajectories  share  first [s]  median [s]  last [s]  in stages
 unknown                  1   100%          3           3         3     2 to 2
 """,
         """
-action  stages  share  median [s]  mean reward
-WASH         2    50%         2.5            2
-FINISH       1    25%           2            0
-LIFT         1    25%           2         -0.1
+action  stages  share  cut  median [s]  mean reward
+WASH         2    50%    0         2.5            2
+FINISH       1    25%    0           2            0
+LIFT         1    25%    0           2         -0.1
 """,
         """
 stage  begun  completed  cut  5 % [s]  median [s]  95 % [s]  effective sample size  largest weight
@@ -54,6 +54,12 @@ stage  begun  completed  cut  5 % [s]  median [s]  95 % [s]  effective sample si
     ):
         first = lines.index(table.splitlines()[1])
         assert lines[first : first + len(table.splitlines()) - 1] == table.splitlines()[1:]
+
+
+def test_the_cuts_of_each_action_are_counted(tmp_path):
+    stages = {"trajectory": [1, 2, 3], "elapsed_s": [2.0, None, None], "action": ["WASH"] * 3}
+    log_of({"end_s": [2.0, 3.0, 2.0]}, **stages, stage=1, reward=[5.0, None, None]).write(tmp_path / "logs")
+    assert shell.report("inspect", tmp_path / "logs")["choices"][0]["num_cut"] == 2
 
 
 def test_a_log_of_several_robots_says_so(folder, tmp_path):

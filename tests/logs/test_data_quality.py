@@ -107,6 +107,17 @@ def reward_as_distance(tables):
     rows["reward"] = rows["distance"].where(rows["elapsed_s"].notna())
 
 
+def an_hour_early(tables):
+    for name, column in (("stages", "elapsed_s"), ("trajectories", "end_s")):
+        tables[name].loc[tables[name]["trajectory"] >= 60, column] += 3600.0
+
+
+def of_a_slow_clock(tables):
+    for name, column in (("stages", "elapsed_s"), ("trajectories", "end_s")):
+        tables[name].loc[tables[name]["trajectory"] % 4 == 3, column] *= 20.0
+    tables["stages"]["robot"] = "r" + (tables["stages"]["trajectory"] % 4).astype(str)
+
+
 def late(rows):
     return rows["trajectory"] >= 60
 
@@ -132,8 +143,16 @@ def without_probability(tables):
          r"^stages of trajectory \d+ last .* about 1,000 times as long as those of all others .* in milliseconds\?$"),
         (lambda tables: in_milliseconds(tables, 10**6, 1e-6), "short-clock",
          r"^half of the stages last \S+e-06 s or less: are clocks in days, hours or thousands of seconds\?$"),
+        (an_hour_early, "mixed-clock-units",
+         r"with none in between: do some clocks start 3,60\d s before the trajectory, as after a shift or in another "),
+        (of_a_slow_clock, "clock-of-robot",
+         r"^stages of robot 'r3' last \S+ s, and those of all others \S+ s: is its clock right\?$"),
         (in_text_order, "text-order", "where 'run-109' comes before 'run-11', and that order"),
         (reward_as_distance, "reward-as-covariate", "^all {completed} rewards equal distance: was the wrong column"),
+        (lambda tables: tables["stages"].insert(0, "tool", tables["stages"]["action"]), "action-as-covariate",
+         "^covariate tool is the action of its own stage in all {stages} stages, which nobody knew before: leave it"),
+        (stages("distance", 0.75, late), "stuck-sensor",
+         "^covariate distance is 0.75 in 60 successive trajectories, from 60 to 119, and differs from each other one"),
         *(
             (stages(name, lambda values: values * 1e6, late), "mixed-covariate-units", f"^covariate {name} is around")
             for name in ("distance", "offset")
@@ -161,6 +180,14 @@ def test_what_was_probably_not_meant_is_asked_about_and_nothing_else(tables, cha
     told = found(tables)
     assert set(told) == {kind}
     assert re.search(sentence.format(**counts), told[kind])
+
+
+def test_a_value_that_stays_is_no_stuck_sensor_where_it_may(tables):
+    rows = tables["stages"]
+    rows["setting"] = rows["trajectory"] // 40 * 0.5  # three settings, each kept for 40 trajectories
+    rows["start"] = rows["distance"].where((rows["stage"] > 1) | (rows["trajectory"] < 60), 0.25)  # a new default
+    rows["few"] = rows["distance"].where(rows["trajectory"] < 100, 0.25)
+    assert found(tables) == {}
 
 
 def test_cuts_in_one_stage(tables):

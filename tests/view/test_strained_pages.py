@@ -14,6 +14,7 @@ from halfseen.figures import style
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.view import page as page_module
+from halfseen.view.findings import find
 from halfseen.view.log_figures import draw_follow_up
 from halfseen.view.log_findings import FollowUp, Timeline
 from halfseen.view.page import page_of, write_page
@@ -165,3 +166,12 @@ def test_a_page_of_long_names_is_as_wide_as_a_phone(many_actions, tmp_path):
     found = replace(many_actions, policy=replace(many_actions.policy, evaluation=shares))
     write_page(page_of(found, "x"), tmp_path / "page.html")
     assert faults_of([tmp_path / "page.html"], 400) == []
+
+
+@in_browser
+@pytest.mark.slow
+def test_a_long_name_of_an_action_breaks_before_its_table_is_wider_than_the_page(tmp_path):
+    logs = flat_log(60)
+    named = logs.stages.assign(action=logs.stages["action"].replace({"A": LONG.replace(" ", "_")}), probability=0.5)
+    write_page(page_of(find(None, Logs(named, logs.trajectories, reward_unit=UNIT)), "x"), tmp_path / "page.html")
+    assert faults_of([tmp_path / "page.html"], 900) == []

@@ -29,6 +29,7 @@ ACTIONS = {
     "action": "{action}",
     "stages": "{num_stages}",
     "share": "{share:.0%}",
+    "cut": "{num_cut}",
     "median [s]": "{median_s:.3g}",
     "mean reward": "{mean_reward:.3g}",
     "least probability": "{smallest_probability:.2g}",

@@ -18,6 +18,7 @@ from pandas.util import hash_pandas_object
 
 from halfseen.arrays import Rows
 from halfseen.logs.columns import shown
+from halfseen.logs.copied_columns import actions_as_covariates, is_copy_of, rewards_as_covariates, stuck_sensors
 from halfseen.logs.grouping import (
     can_be_counted,
     coded,
@@ -28,7 +29,7 @@ from halfseen.logs.grouping import (
     rows_with,
 )
 from halfseen.logs.logs import Logs
-from halfseen.logs.mixed_units import long_clocks, mixed_clocks, mixed_covariates, short_clocks
+from halfseen.logs.mixed_units import clocks_of_robots, long_clocks, mixed_clocks, mixed_covariates, short_clocks
 from halfseen.logs.plausibility import (
     MOST_EXPLAINED,
     cuts_called_finished,
@@ -200,6 +201,8 @@ def _no_alternative(logs: Logs) -> Iterator[str]:
     if len(names) < 2 or logs.has_objects:
         return
     for each in grouped_covariates(logs, stages):
+        if is_copy_of(stages[each.name], stages["action"]):
+            continue
         size = num_groups, num_actions = each.num_groups, len(names)
         taken = np.bincount(each.group * num_actions + action, minlength=num_groups * num_actions).reshape(size)
         alone = (np.count_nonzero(taken, axis=1) == 1) & (taken.max(axis=1) >= FEWEST_IN_STATE)
@@ -251,16 +254,6 @@ def _no_exploration(logs: Logs) -> Iterator[str]:
     probability = logs.stages.loc[logs.stages["elapsed_s"].notna(), "probability"]
     if len(probability) >= FEWEST_ROWS and (probability == 1).all():
         yield "all probabilities are 1: the policy never explored, so nothing can be learned of other actions"
-
-
-def _reward_as_covariate(logs: Logs) -> Iterator[str]:
-    """Find a reward that equals another numeric column in every row: it was taken from the wrong column."""
-    completed: Any = logs.stages[logs.stages["reward"].notna()]
-    if len(completed) < FEWEST_ROWS or completed["reward"].nunique() < 3:
-        return
-    for name in (*logs.stage_covariates, *("probability",) * ("probability" in completed.columns)):
-        if is_number(completed[name]) and (completed[name].astype(float) == completed["reward"]).all():
-            yield f"all {len(completed)} rewards equal {name}: was the wrong column taken for the reward?"
 
 
 def _equal_rewards(logs: Logs) -> Iterator[str]:
@@ -335,16 +328,19 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "horizon-as-cut": _horizons,
     "cuts-in-one-stage": _one_stage,
     "mixed-clock-units": mixed_clocks,
+    "clock-of-robot": clocks_of_robots,
     "long-clock": long_clocks,
     "short-clock": short_clocks,
     "running-clock": _running_clocks,
     "mixed-covariate-units": mixed_covariates,
-    "reward-as-covariate": _reward_as_covariate,
+    "action-as-covariate": actions_as_covariates,
+    "reward-as-covariate": rewards_as_covariates,
     "spelling": _spelling,
     "rare-action": _rare_actions,
     "no-probability": _no_probability,
     "no-exploration": _no_exploration,
     "equal-rewards": _equal_rewards,
     "constant-covariate": _constant_covariates,
+    "stuck-sensor": stuck_sensors,
     "duplicated-trajectories": _duplicates,
 }

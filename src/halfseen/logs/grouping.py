@@ -126,13 +126,15 @@ def by_action(logs: Logs) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        action, num_stages, share (proportion of the completed stages), the median duration [s], the mean reward, and
-        the mean and smallest logged probability, None if it was not logged.
+        action, num_stages, share (proportion of the completed stages), the median duration [s], the mean reward,
+        num_cut (stages of it that were cut), and the mean and smallest logged probability, None if it was not logged.
     """
+    num_cut = logs.stages.loc[logs.stages["elapsed_s"].isna(), "action"].value_counts()
     stages: Any = logs.stages.assign(duration_s=logs.durations_s())[logs.stages["elapsed_s"].notna()]
     table = stages.groupby("action", observed=True).agg(
         num_stages=("reward", "size"), median_s=("duration_s", "median"), mean_reward=("reward", "mean")
     )
+    table["num_cut"] = num_cut.reindex(table.index, fill_value=0)
     chance: Any = stages.groupby("action", observed=True)["probability"] if "probability" in stages.columns else None
     table["mean_probability"] = None if chance is None else chance.mean()
     table["smallest_probability"] = None if chance is None else chance.min()

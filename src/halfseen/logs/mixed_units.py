@@ -8,9 +8,10 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from halfseen.arrays import RowMask, Rows
-from halfseen.logs.columns import shown
+from halfseen.logs.columns import ROBOT, shown
 from halfseen.logs.grouping import covariate_columns, is_number
 from halfseen.logs.logs import Logs
 
@@ -18,6 +19,8 @@ FEWEST_APART, FEWEST_SHARE, GAP, RATIO = 3, 0.01, 30.0, 300.0
 """For a group with suspect units: its least number and share, its least gap, and its least ratio of medians."""
 FEWEST_OTHERS, MOST_RATIO = 20, 3000.0
 """For single trajectories with suspect units: the least number in all, and the largest ratio to the others."""
+FEWEST_OF_ROBOT, RATIO_OF_ROBOTS = 30, 10.0
+"""For a robot with a suspect clock: the least number of stages, and the least ratio to the others."""
 LONG_S = (900.0, 1e6)
 """Suspiciously long stages: from a quarter of an hour to below 12 days [s]."""
 
@@ -32,12 +35,42 @@ def mixed_clocks(logs: Logs) -> Iterator[str]:
     clocks = logs.stages.groupby("trajectory")["elapsed_s"]
     mean_s = clocks.max() / clocks.count()
     for words in _apart(logs, "stages last", mean_s, " s"):
-        yield f"{words}: are some clocks in milliseconds?"
+        yield f"{words}: {_question(logs, far_apart(mean_s.reindex(logs.trajectory_ids).to_numpy(dtype=np.float64)))}?"
     for trajectory, size_s, others_s in thousandfold_of_others(mean_s):
         yield (
             f"stages of trajectory {shown(trajectory)} last {size_s:.3g} s, about 1,000 times as long as those of all "
             f"others ({others_s:.3g} s): is its clock in milliseconds?"
         )
+
+
+def _question(logs: Logs, is_large: RowMask | None) -> str:
+    """Ask whether clocks start early if in trajectories with large times only the first stage lasts long."""
+    lasted_s: Any = pd.Series(logs.durations_s())
+    is_own = logs.stages["trajectory"].isin(list(logs.trajectory_ids[is_large])).to_numpy()
+    is_first = logs.stages["stage"].to_numpy() == 1
+    first_s, later_s, usual_s = (lasted_s[of].median() for of in (is_own & is_first, is_own & ~is_first, ~is_own))
+    if usual_s / GAP < later_s < usual_s * GAP:
+        return f"do some clocks start {first_s:,.0f} s before the trajectory, as after a shift or in another zone"
+    return "are some clocks in milliseconds"
+
+
+def clocks_of_robots(logs: Logs) -> Iterator[str]:
+    """Find robots whose stages last many times as long, or as short, as those of the others, whatever they did."""
+    if ROBOT not in logs.stages.columns:
+        return
+    lasted_s: Any = pd.Series(logs.durations_s())
+    for robot in logs.stages[ROBOT].dropna().unique():
+        is_own = logs.stages[ROBOT].eq(robot).to_numpy(dtype=bool, na_value=False)
+        own_s, others_s = lasted_s[is_own].dropna(), lasted_s[~is_own].dropna()
+        if min(len(own_s), len(others_s)) < FEWEST_OF_ROBOT:
+            continue
+        # Of robots that are free at once, some stages last no time.
+        small_s, large_s = sorted((own_s.median(), others_s.median()))
+        if 0.0 < small_s * RATIO_OF_ROBOTS <= large_s:
+            yield (
+                f"stages of robot {shown(robot)} last {own_s.median():.3g} s, and those of all others "
+                f"{others_s.median():.3g} s: is its clock right?"
+            )
 
 
 def long_clocks(logs: Logs) -> Iterator[str]:

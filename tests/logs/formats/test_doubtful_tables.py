@@ -367,3 +367,18 @@ def test_a_late_row_and_rows_out_of_order_are_no_new_start(read_table):
         assert [row[2:] for row in ends(read_table("".join(dates), BEGUN))] == [
             row[2:] for row in ends(read_table(PLC, BEGUN))
         ]
+
+
+def test_a_stage_that_was_written_twice_is_warned_of_where_no_clock_tells(read_table):
+    text = "run,step,tool,s,worth,stop\na,1,x,2.5,1,\na,2,y,1.5,1,\na,2,y,1.5,1,\na,3,x,2,1,done\nb,1,x,2,1,done\n"
+    mapping = """
+        clock = {field = "s", unit = "s", since = "stage"}
+        trajectory = {field = "run"}
+        action = {field = "tool"}
+        reward = {field = "worth"}
+        ending = {field = "stop", finished = ["done"]}
+    """
+    told = "line 4: it repeats the one above, and counts as a stage of its own; if it was written twice, delete it"
+    with pytest.warns(HalfseenWarning, match=told):
+        assert len(read_table(text, mapping).stages) == 5
+    assert len(read_table(text.replace("a,2,y,1.5,1,\n", "", 1), mapping).stages) == 4

@@ -20,6 +20,10 @@ _FALSE = ("false", "f", "0", "0.0", "no", "n", "falsch", "nein", "faux", "non", 
 """Truth values, also as German, French, Spanish and Italian programs write them."""
 
 
+BY, BY_REWARD = "ending by ", "ending by reward"
+"""Names of columns of endings that flags or rewards tell: how they begin, and the latter."""
+
+
 def are_flags(texts: list[str]) -> bool:
     """Whether all cells are true, false or empty, and at least one is false."""
     found = {text.lower() for text in texts}
@@ -48,12 +52,12 @@ def with_ending(cells: Cells, mapping: EventMapping, file: str) -> tuple[Cells, 
         return cells, mapping
     if not isinstance(ending.finished, Flag):
         rewards = cells.columns.get(mapping.column("reward"), [])
-        return _with_texts(cells, mapping, ["" if text else LOG_ENDED for text in rewards], "ending by reward", "")
+        return _with_texts(cells, mapping, ["" if text else LOG_ENDED for text in rewards], BY_REWARD, "")
     is_finished = _read(cells, ending.finished, f"{file}, ending.finished.field")
     cause = "" if ending.cut is None else ending.cut.field
     is_cut = [False] * len(is_finished) if ending.cut is None else _read(cells, ending.cut, f"{file}, ending.cut.field")
     texts = [FINISHED if done else cause if cut else "" for done, cut in zip(is_finished, is_cut, strict=True)]
-    name = f"ending by {' or '.join(filter(None, [ending.finished.field, cause]))}"
+    name = f"{BY}{' or '.join(filter(None, [ending.finished.field, cause]))}"
     return _with_texts(cells, mapping, texts, name, FINISHED)
 
 

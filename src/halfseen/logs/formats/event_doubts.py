@@ -9,11 +9,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from halfseen.errors import warn
-from halfseen.logs.columns import shown
+from halfseen.logs.columns import CUT, shown
 from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, Event
 from halfseen.logs.formats.bags import Trajectory
 from halfseen.logs.formats.guesses import BEGIN_LIKE
-from halfseen.logs.formats.table_cells import Cells
+from halfseen.logs.formats.table_cells import ROW, Cells
 from halfseen.logs.formats.table_mapping import Clock, EventMapping
 from halfseen.logs.formats.table_values import MISSING_TEXTS, NANOSECONDS, NO_CAUSES, Stamps
 from halfseen.suggestions import folded
@@ -79,6 +79,17 @@ def warn_of_respelled_events(cells: Cells, mapping: EventMapping) -> None:
             warn(cells.file, f"{trouble}; name them in the mapping, too, if they are the same")
 
 
+def warn_of_repeats(cells: Cells, mapping: EventMapping) -> None:
+    """Warn about rows that repeat the one above, where no clock tells whether a stage was written twice."""
+    columns = [texts for name, texts in cells.columns.items() if name != ROW]
+    whole = list(zip(*columns, strict=True)) if mapping.clock.since == "stage" else []
+    repeats = [row for row in range(1, len(whole)) if whole[row] == whole[row - 1]]
+    if repeats:
+        rest = f", as do {len(repeats):,} rows" if len(repeats) > 1 else ""
+        trouble = f"it repeats the one above{rest}, and counts as a stage of its own"
+        warn(cells.place(repeats[0]), f"{trouble}; if it was written twice, delete it")
+
+
 def warn_of_rows_apart(cells: Cells, groups: Groups, mapping: EventMapping) -> None:
     """Warn about trajectories whose rows do not stand together: their names may have been used again."""
     if mapping.topic is not None and mapping.clock.since is None:
@@ -129,6 +140,25 @@ def warn_of_late(cells: Cells, mapping: EventMapping, late: Counter[str]) -> Non
             cells.file,
             f"{late.total():,} values of {names} have the time of an action, but come after it in the file: the "
             "earlier value was used; write them before the action if they were known by then",
+        )
+
+
+def is_stale(trajectory: Trajectory, events: Sequence[Event]) -> bool:
+    """Whether nothing was seen between the last reward and the cut, so that the covariates before stand there, too."""
+    if trajectory.ending != CUT or not trajectory.stages or trajectory.stages[-1]["action"] is not None:
+        return False
+    last = max((k for k, event in enumerate(events) if event.key == "reward"), default=0)
+    return not any(event.key.startswith("covariates.") for event in events[last:])
+
+
+def warn_of_stale(cells: Cells, mapping: EventMapping, num_stale: int) -> None:
+    """Warn about trajectories, counted by `is_stale`, in which a stage begins that no row tells of."""
+    if num_stale and mapping.covariates:
+        which = "trajectory was" if num_stale == 1 else "trajectories were"
+        warn(
+            cells.file,
+            f"{num_stale:,} {which} cut after a reward, and no row says what was seen then: the covariates of the row "
+            "before stand for it; add a row with what was seen, without an action, or leave that reward empty",
         )
 
 

@@ -23,7 +23,7 @@ from halfseen.logs.columns import shown
 from halfseen.logs.formats import event_doubts, table_values
 from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, JITTER_NS, Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
-from halfseen.logs.formats.ending_flags import LOG_ENDED, are_flags, truths, with_ending
+from halfseen.logs.formats.ending_flags import BY, BY_REWARD, LOG_ENDED, are_flags, truths, with_ending
 from halfseen.logs.formats.mapping import NUMBERS
 from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells, refuse_empty, without_missing
 from halfseen.logs.formats.table_mapping import Ending, Entry, EventMapping, read_event_mapping
@@ -70,17 +70,20 @@ def read_event_table(
     _check_columns(cells, wanted, file)
     event_doubts.warn_of_respelled_events(cells, wanted)
     cells = cells if wanted.topic is None else _without_repeats(cells)
+    event_doubts.warn_of_repeats(cells, wanted)
     needed = {name: wanted.origin(f"covariates.{name}") for name in wanted.covariates}
     late: Counter[str] = Counter()
     finishing, remedy = wanted.ending.finishing, _remedy_after_ending(cells, wanted)
-    found = []
+    found, num_stale = [], 0
     for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
         late.update(event_doubts.late_covariates(events))
         called = number if name is None else name
         trajectory = Trajectory(called, needed, finishing, cause=LOG_ENDED, remedy=remedy)
         trajectory.follow(events)
+        num_stale += wanted.topic is None and event_doubts.is_stale(trajectory, events)
         if is_seen(Path(cells.file), trajectory):
             found.append(trajectory)
+    event_doubts.warn_of_stale(cells, wanted, num_stale)
     event_doubts.warn_of_late(cells, wanted, late)
     if wanted.clock.since == "trajectory":
         event_doubts.warn_of_running_clock(cells, wanted.clock, found)
@@ -120,8 +123,15 @@ def _remedy_after_ending(cells: Cells, mapping: EventMapping) -> str:
         return f'column {column!r} is true or false, so set finished = {{field = "{column}"}} in [ending]'
     if mapping.trajectory is None:
         return "map [trajectory], the column of its name or the event that begins it, if there are several"
-    last = "the ending must be last by the clock; fix the times"
-    last += "" if mapping.topic is not None else f", leave column {column!r} empty in all rows but the last"
+    if mapping.clock.since == "stage":
+        last = "the oldest row must be first, since times count from each stage; sort the rows"
+    else:
+        last = "the ending must be last by the clock; fix the times"
+    if mapping.topic is None and column == BY_REWARD:
+        last += ", give every row but the last a reward"
+    elif mapping.topic is None:
+        named = f"flags {column.removeprefix(BY)}" if column.startswith(BY) else f"column {column!r}"
+        last += f", leave {named} empty in all rows but the last"
     return f"{last}, or have {mapping.origin('trajectory')} distinguish the trajectories"
 
 

@@ -5,6 +5,7 @@ import re
 import shlex
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import msgspec
@@ -13,6 +14,7 @@ from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
 from halfseen.logs.folder import TEXT_FILES, WORKBOOKS
 from halfseen.logs.formats import guesses
+from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS
 from halfseen.logs.formats.guesses import Guesses, are_numbers
 from halfseen.logs.formats.table_cells import (
     ROW,
@@ -24,8 +26,24 @@ from halfseen.logs.formats.table_cells import (
     without_missing,
 )
 from halfseen.logs.formats.table_mapping import TextLayout
-from halfseen.logs.formats.table_values import MISSING_TEXTS, TIME_OF_DAY, is_numeric, marks_of, thousands_mark
+from halfseen.logs.formats.table_values import (
+    LASTED,
+    MISSING_TEXTS,
+    NANOSECONDS,
+    TIME_OF_DAY,
+    is_numeric,
+    marks_of,
+    thousands_mark,
+)
 
+_NO_TOPIC = '# topic = "EVENT"  # no event looks like it; if one carries it, name both'
+_UNIT_WORDS = {
+    "ms": "milli(s|secs?|seconds?)|(?-i:[a-z]Ms)",
+    "us": "micro(s|secs?|seconds?)",
+    "ns": "nano(s|secs?|seconds?)",
+}
+_UNIT_WORDS |= {"s": "secs?|seconds?|sekunden", "min": "mins?|minutes?|minuten", "h": "hrs?|hours?|stunden"}
+_UNIT_WORDS |= {"d": "days?|dy|tage?"}
 _NO_BEGIN = '# begin = "COLUMN"  # no column looks like it'
 
 
@@ -77,7 +95,7 @@ def _template(file: str, table: Guesses) -> Iterator[str]:
         topic = [] if key == "trajectory" and key in found else like.get(key, [])
         if key == "ending" and "ending.finished" in found and not topic:
             yield from ("", *_flag_lines(cells, found))
-        elif key in found or topic or key in ("action", "reward", "ending"):
+        elif key in found or topic or key in ("trajectory", "action", "reward", "ending"):
             yield from ("", *_entry_lines(cells, key, found, topic))
     yield from _covariate_lines(cells, found, [one for one in topics if not any(one in each for each in like.values())])
 
@@ -118,10 +136,9 @@ def _clock_lines(table: Guesses, has_topic: bool) -> Iterator[str]:
     yield time("clock.field")
     formats = guesses.date_formats(texts)
     begin = time("clock.begin") if "clock.begin" in found else None
-    if not formats:
-        yield f'unit = "{_unit(found["clock.field"], texts)}"  # guess: s, ms, us, ns, min, h or d'
-        since = 'since = "trajectory"  # guess: numbers count from there, or from the "stage"'
-        yield begin or ("# " if has_topic else "") + since
+    are_lasting = not has_topic and begin is None and all(map(LASTED.fullmatch, texts)) and not _runs_on(table, texts)
+    if not formats or are_lasting:
+        yield from _count_lines(table, texts, begin, has_topic)
         return
     if len(formats) > 1:
         yield "# The order of day and month cannot be guessed; choose one:"
@@ -136,12 +153,56 @@ def _clock_lines(table: Guesses, has_topic: bool) -> Iterator[str]:
         yield begin or _NO_BEGIN
 
 
+def _count_lines(table: Guesses, texts: Sequence[str], begin: str | None, has_topic: bool) -> Iterator[str]:
+    """Lines of a clock of numbers, or of hours, minutes and seconds since a beginning."""
+    if not all(map(LASTED.fullmatch, texts)):
+        unit = _unit(table.found["clock.field"], texts)
+        yield f'unit = "{unit}"  # guess: s, ms, us, ns, min, h or d'
+        earliest = min((parts[0] for parts in map(_parts, texts) if parts), default=0.0)
+        if begin is None and not has_topic and earliest * NANOSECONDS[unit] >= EARLIEST_DATE_NS:
+            yield _NO_BEGIN
+            return
+    since, other = ("stage", "trajectory") if _restarts(table, texts) else ("trajectory", "stage")
+    told = f'since = "{since}"  # guess: numbers count from there, or from the "{other}"'
+    yield begin or ("# " if has_topic else "") + told
+
+
+def _runs_on(table: Guesses, texts: Sequence[str]) -> bool:
+    """Whether hours, minutes and seconds seldom fall back from row to row, as those of a clock on the wall."""
+    names = table.cells.columns[table.found["trajectory"]] if "trajectory" in table.found else []
+    num_falls = sum(after < before for before, after in pairwise(map(_parts, texts)))
+    return 2 * num_falls < len(set(names)) - 1 or not num_falls
+
+
+def _restarts(table: Guesses, texts: Sequence[str]) -> bool:
+    """Whether times rise and fall, or stay, within trajectories: each counts from the beginning of its stage."""
+    if "trajectory" not in table.found or table.pattern:
+        return False
+    rows = zip(table.cells.columns[table.found["trajectory"]], map(_parts, texts), strict=True)
+    steps = [(before, after) for (one, before), (other, after) in pairwise(rows) if one == other]
+    return any(after <= before for before, after in steps) and any(after >= before for before, after in steps)
+
+
+def _parts(text: str) -> list[float]:
+    """The numbers in a time."""
+    return [float(part) for part in re.findall(r"\d+(?:\.\d+)?(?:[eE]-?\d+)?", text.replace(",", "."))]
+
+
 def _unit(name: str, texts: Sequence[str]) -> str:
     """The unit of a column's name; or of dates as a spreadsheet counts them since 1900, or others since 1970."""
-    unit = re.search(r"(?<![a-z])(ms|us|ns|min|s|h|d)(?:ays?)?\W*$", name)
-    are_days = all(re.fullmatch(r"[2-7]\d{4}[.,]\d+", text) for text in texts)
+    unit = re.search(r"(?<![A-Za-z])(ms|us|ns|min|s|h|d)\W*$", name)
+    word = next((unit for unit, like in _UNIT_WORDS.items() if re.search(rf"({like})\W*$", name, re.IGNORECASE)), None)
+    are_days = all(re.fullmatch(r"[2-7]\d{4}[.,]\d+", text) for text in texts) or _are_seconds_in_days(texts)
     lengths = {len(re.split("[.,]", text)[0]) for text in texts}
-    return unit[1] if unit else "d" if are_days else {13: "ms", 16: "us", 19: "ns"}.get(min(lengths), "s")
+    by_size = "d" if are_days else {13: "ms", 16: "us", 19: "ns"}.get(min(lengths), "s")
+    return unit[1] if unit else word or by_size
+
+
+def _are_seconds_in_days(texts: Sequence[str]) -> bool:
+    """Whether all numbers are fractions of days, of whole seconds, as a workbook holds durations."""
+    numbers = [parts[0] for parts in map(_parts, texts) if parts]
+    are_long = any(re.search(r"[.,]\d{8}|[eE]-", text) for text in texts)
+    return are_long and all(abs(number * 86400.0 - round(number * 86400.0)) < 1e-3 for number in numbers)
 
 
 def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]) -> Iterator[str]:
@@ -149,24 +210,40 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
     rows = _rows(cells, found, topic)
     column = _filled(cells, found, key, rows) if topic else found.get(key)
     if column is None and not topic:
-        yield from (f"# [{key}]", f'# field = "COLUMN"  # no column looks like it; there are {_names(cells)}')
+        told = f"there are {_names(cells)}" + (
+            "; without it, each file is one trajectory" if key == "trajectory" else ""
+        )
+        yield from (
+            f"# [{key}]",
+            *[_NO_TOPIC] * ("topic" in found),
+            f'# field = "COLUMN"  # no column looks like it; {told}',
+        )
         if key == "ending" and "topic" not in found:
             yield '# finished = "rewarded"  # if every trajectory finished whose last stage has a reward'
         return
     yield f"[{key}]"
+    if not topic and "topic" in found and key != "trajectory":
+        yield _NO_TOPIC
     if topic:
         yield f"topic = [{', '.join(map(_quoted, topic))}]  # guess: these events carry it"
     if column is not None:
         yield f"field = {_guess(cells, column, rows)}"
     texts = topic if column is None else list(dict.fromkeys(cells.columns[column][row] for row in rows))
     if key == "ending":
-        ends = list(filter(guesses.FINISHED_LIKE.search, texts)) or [text for text in texts if not text]
+        ends = list(filter(guesses.FINISHED_LIKE.search, texts)) or _blank_ends(cells, found, texts)
         yield f'finished = [{", ".join(map(_quoted, ends))}]  # guess: endings that are not cuts, "" for an empty cell'
     elif key == "action" or (key == "reward" and not are_numbers(texts)):
         names = list(map(_quoted, filter(None, texts)))[: 1 if key == "action" else 20]
         pairs = ", ".join(f"{name} = {name if key == 'action' else '1.0'}" for name in names)
         meaning = "its action, if that has another name" if key == "action" else "what each earns"
         yield f"# values = {{{pairs}}}  # {meaning}"
+
+
+def _blank_ends(cells: Cells, found: dict[str, str], texts: list[str]) -> list[str]:
+    """An empty text, unless each trajectory has another in its last row."""
+    names, ends = (cells.columns.get(found.get(key, ""), []) for key in ("trajectory", "ending"))
+    is_told = bool(names and ends) and all(dict(zip(names, ends, strict=True)).values())
+    return [] if is_told else [text for text in texts if not text]
 
 
 def _flag_lines(cells: Cells, found: dict[str, str]) -> Iterator[str]:

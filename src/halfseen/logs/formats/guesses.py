@@ -13,7 +13,7 @@ import pandas as pd
 
 from halfseen.logs.formats.ending_flags import are_flags
 from halfseen.logs.formats.table_cells import ROW, Cells
-from halfseen.logs.formats.table_values import ISO, WHOLE, dates_and_times, is_numeric, joined
+from halfseen.logs.formats.table_values import ISO, LASTED, WHOLE, dates_and_times, is_numeric, joined
 from halfseen.logs.formats.wide_tables import STAGE, reshaped, staged_columns, stages_of
 from halfseen.reading import toml_of
 
@@ -33,7 +33,8 @@ _BY_STAGE = (
 _DAYS = ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y", "%d.%m.%y", "%d/%m/%y", "%m/%d/%y")
 _DAYS += ("%d-%b-%Y", "%d-%b-%y")
 _TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M:%S.%f %p", "%I:%M %p")
-_ROWS_LOOKED_AT = 1000
+_ROWS_LOOKED_AT, MOST_NUMBERED = 1000, 20
+"""Number of first dates that are read; and of numbers that may name actions."""
 
 
 class Guesses(NamedTuple):
@@ -162,7 +163,8 @@ def _span(cells: Cells) -> dict[str, str]:
 def _other_times(cells: Cells, found: dict[str, str]) -> dict[str, str]:
     """A column of times not found by its name; with one row per stage, also the end if the one found is a beginning."""
     times = (name for name in cells.columns if name not in found.values() and date_formats(cells.columns[name]))
-    first = found.get("clock.field") or next(times, None)
+    lasting = (name for name, texts in cells.columns.items() if _OTHERS["duration"].search(name) and _are_times(texts))
+    first = found.get("clock.field") or next(times, None) or next(lasting, None)
     is_begin = first is not None and BEGIN_LIKE.search(first) is not None
     if is_begin and not {"topic", "clock.begin"} & set(found) and (end := next(times, None)) is not None:
         return {"clock.begin": str(first), "clock.field": end}
@@ -175,11 +177,15 @@ def are_numbers(texts: Iterable[str]) -> bool:
 
 
 def _are_times(texts: Sequence[str]) -> bool:
-    return all(map(is_numeric, texts)) or bool(date_formats(texts))
+    return all(map(is_numeric, texts)) or all(map(LASTED.fullmatch, texts)) or bool(date_formats(texts))
 
 
 def _are_words(texts: Sequence[str]) -> bool:
     return not are_numbers(texts)
+
+
+def _are_whole(texts: Sequence[str]) -> bool:
+    return all(map(WHOLE.fullmatch, filter(None, texts)))
 
 
 _FITS: dict[str, Callable[[Sequence[str]], bool]] = {
@@ -187,9 +193,9 @@ _FITS: dict[str, Callable[[Sequence[str]], bool]] = {
     "clock.begin": _are_times,
     "probability": are_numbers,
     "reward": are_numbers,
-    "action": _are_words,
+    "action": lambda texts: _are_words(texts) or (_are_whole(texts) and len(set(texts)) <= MOST_NUMBERED),
     "topic": _are_words,
-    "ending": lambda texts: not date_formats(list(filter(None, texts))),
+    "ending": lambda texts: not date_formats(list(filter(None, texts))) and (_are_words(texts) or _are_whole(texts)),
 }
 """What the cells of a key must be, besides the name of the column."""
 

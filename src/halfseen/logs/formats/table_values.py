@@ -26,7 +26,8 @@ _FRACTION = {mark: re.compile(rf"[-+]?\d*{re.escape(mark)}\d+([eE][-+]?\d+)?") f
 _IN_THOUSANDS = {mark: re.compile(rf"[-+]?[1-9]\d{{0,2}}({re.escape(mark)}\d{{3}})+") for mark in ".,"}
 _GROUPED = re.compile(r"[-+]?\d{1,3}[.,'\u2019 \u00a0\u202f]\d{3}(?!\d)")
 MISSING_TEXTS = ("NA", "N/A", "n/a", "#N/A", "#NV", "NaN", "nan", "NULL", "null", "<NA>", "NaT", "#VALUE!", "#WERT!")
-"""Texts that R, pandas, databases and spreadsheets write for a missing value."""
+MISSING_TEXTS += (".",)
+"""Texts that R, pandas, databases, spreadsheets, Stata and SAS write for a missing value."""
 NO_CAUSES = ("None", "none", "nil", "-", "--", "---", "?")
 """Texts that may be names, but no causes of a cut."""
 _MISSING_LIKE = {text.lower() for text in (*MISSING_TEXTS, *NO_CAUSES, "NV")}
@@ -156,10 +157,9 @@ def refuse_most_numbers(cells: Cells, rows: Sequence[int], column: str) -> None:
         cells.refuse(there[0], column, 'is a number with a unit; export it without, or set type = "text"')
 
 
-NANOSECONDS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9}
-NANOSECONDS |= {"h": 3600 * 10**9, "d": 86400 * 10**9}
+NANOSECONDS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9, "d": 86400 * 10**9}
 ISO = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?)?( ?(Z|[+-]\d\d(:?\d\d)?))?")
-_LASTED = re.compile(r"(?:(\d{1,4}) days? ?)?(\d{1,4}):([0-5]\d):([0-5]\d)(?:[.,](\d{1,9}))?")
+LASTED = re.compile(r"(?:(\d{1,4}) days? ?)?(\d{1,4}):([0-5]\d):([0-5]\d)(?:[.,](\d{1,9}))?")
 _ZONED = re.compile(r":.*(Z|[+-]\d\d(?::?\d\d)?)$")
 _HOUR_NS = 3600 * 10**9
 _DAY_ALONE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}")
@@ -325,7 +325,7 @@ def _lasted(cells: Cells, column: str) -> Stamps:
     """Read durations such as 1:02:03.5, or 1 days 00:02:03 as pandas writes them."""
     stamps = np.zeros(len(cells.rows), dtype=np.int64)
     for row, cell in enumerate(cells.columns[column]):
-        if (match := _LASTED.fullmatch(cell)) is None:
+        if (match := LASTED.fullmatch(cell)) is None:
             cells.refuse(row, column, "counts since a beginning; set clock.unit: s, ms, us, ns, min, h or d")
         *parts, fraction = match.groups("0")
         stamps[row] = int(np.dot([86400, 3600, 60, 1], [*map(int, parts)])) * 10**9 + int(fraction.ljust(9, "0"))
@@ -341,6 +341,7 @@ def _counted(cells: Cells, column: str, factor: int, marks: Marks) -> Stamps:
         if (number := plain_number(cell, marks)) is None:
             mark = grouped_by(cell)
             remedy = f'set table.thousands = "{mark}" in the mapping' if mark else "every row needs its time"
+            remedy = "it counts by itself; leave clock.unit out" if LASTED.fullmatch(cell) else remedy
             cells.refuse(row, column, f"is not a number with decimal mark {marks.decimal!r}; {remedy}")
         stamp = round(Decimal(number) * factor)
         if abs(stamp) >= 2**62:

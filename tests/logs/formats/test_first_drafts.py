@@ -1,0 +1,152 @@
+"""Drafts of mappings: taken literally, they do not make a wrong log without a word."""
+
+import pytest
+
+from refusals import refused
+
+STOPS = """run,tool,t,score,status
+1,a,1,0.5,
+1,b,2,1.5,{one}
+2,a,3,2.5,{other}
+"""
+
+
+def test_an_empty_cell_is_no_finish_where_each_trajectory_has_an_ending(draft):
+    told = '# guess: endings that are not cuts, "" for an empty cell'
+    draft(STOPS.format(one="SUCCEEDED", other="PREEMPTED"), f'finished = ["SUCCEEDED"]  {told}')
+    draft(STOPS.format(one="grün", other="rot"), f"finished = []  {told}")
+    draft(STOPS.format(one="rot", other=""), f'finished = [""]  {told}')
+
+
+TIMES = "run,tool,{name},score,stop\n" + "".join(
+    f"{run},{'ab'[stage]},{{times[{2 * run + stage}]}},1,{'operator' * stage * run}\n"
+    for run in (0, 1)
+    for stage in (0, 1)
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "times", "since"),
+    [
+        ("cycle_ms", ["8000", "3000", "4000", "5000"], "stage"),
+        ("time", ["8,5", "8,5", "4", "5"], "stage"),
+        ("time", ["0:00:10", "0:00:04", "0:00:05", "0:00:09"], "stage"),
+        ("time", ["9,5", "10,25", "4", "5"], "trajectory"),
+        ("time", ["0:00:04", "0:00:10", "26:00:05", "26:00:09"], "trajectory"),
+        ("time", ["10", "4", "5", "2"], "trajectory"),
+    ],
+)
+def test_times_that_fall_within_trajectories_count_from_each_stage(draft, name, times, since):
+    text = TIMES.replace(",", ";").format(name=name, times=times)
+    other = {"stage": "trajectory", "trajectory": "stage"}[since]
+    draft(text, f'since = "{since}"  # guess: numbers count from there, or from the "{other}"')
+
+
+def test_numbers_that_are_dates_do_not_count_from_a_beginning(draft):
+    times = [f"17724312{second}000000000" for second in ["08", "11", "20", "35"]]
+    made = draft(TIMES.format(name="%time", times=times), '# begin = "COLUMN"  # no column looks like it')
+    assert "since" not in made
+
+
+TRIAL = """USUBJID,VISITDY,EXTRT,CHG,DSDECOD
+AB-1,8,low,0.5,
+AB-1,15,high,1.5,COMPLETED
+AB-2,7,low,,LOST TO FOLLOW-UP
+"""
+STUDY = """subject,ts,treatment,outcome,censored
+1,8,low,0.5,FALSE
+1,15,high,1.5,FALSE
+2,7,low,,TRUE
+"""
+
+
+def test_a_trial_is_recognised_and_a_fraction_ends_nothing(draft):
+    draft(
+        TRIAL,
+        "field = \"USUBJID\"  # guess: such as 'AB-1' and 'AB-2'",
+        "field = \"VISITDY\"  # guess: such as '8' and '15'",
+        "field = \"EXTRT\"  # guess: such as 'low' and 'high'",
+        "field = \"DSDECOD\"  # guess: such as 'COMPLETED' and 'LOST TO FOLLOW-UP'",
+    )
+    made = draft(
+        STUDY,
+        "field = \"subject\"  # guess: such as '1' and '2'",
+        "field = \"ts\"  # guess: such as '8' and '15'",
+        "field = \"treatment\"  # guess: such as 'low' and 'high'",
+        "[reward]",
+        "field = \"outcome\"  # guess: such as '0.5' and '1.5'",
+    )
+    assert "\n[ending]" not in made
+    draft(STUDY.replace("outcome", "result"), "# [ending]")
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("VISITDY", "d"),
+        ("Day", "d"),
+        ("Elapsed Hours", "h"),
+        ("Dauer Minuten", "min"),
+        ("TimeMs", "ms"),
+        ("time_s", "s"),
+    ],
+)
+def test_the_unit_is_taken_from_the_name_however_it_is_written(draft, name, unit):
+    draft(TRIAL.replace("VISITDY", name), f'unit = "{unit}"  # guess: s, ms, us, ns, min, h or d')
+
+
+def test_what_no_event_looks_like_is_told_with_its_event(draft):
+    made = draft(
+        "ts,event,value\n"
+        + "".join(f"{second},{tag},{second}\n" for second, tag in enumerate(["START", "GRIP", "PV"])),
+        '# topic = "EVENT"  # no event looks like it; if one carries it, name both',
+        "field = \"value\"  # guess: such as '0' and '1'",
+        "# field = \"COLUMN\"  # no column looks like it; there are 'ts', 'event', 'value'",
+    )
+    assert made.count('# topic = "EVENT"') == 2  # of rewards and endings
+    made = draft(TRIAL.replace("USUBJID", "NAME"), "# [trajectory]")
+    assert "'DSDECOD'; without it, each file is one trajectory" in made
+
+
+WAVES = "id,x1,treat1,day1,score1,x2,treat2,day2,score2\n1,0.5,low,3,1.5,.,,.,.\n2,0.7,high,4,0.5,0.25,low,9,2.5\n"
+
+
+def test_a_point_alone_is_what_stata_and_sas_write_for_nothing(draft):
+    made = draft(
+        WAVES, 'missing = ["."]  # guess: texts of empty cells', 'unit = "d"  # guess: s, ms, us, ns, min, h or d'
+    )
+    assert (
+        "field = \"score\"  # guess: such as '1.5' and '0.5'" in made[made.index("[reward]") : made.index("[ending]")]
+    )
+
+
+def test_a_time_that_lasts_needs_no_unit(read_table):
+    mapping = """
+        clock = {field = "took", unit = "s", since = "trajectory"}
+        trajectory = {field = "run"}
+        action = {field = "tool"}
+        reward = {field = "worth"}
+        ending = {field = "stop", finished = ["ok"]}
+    """
+    text = "run,tool,took,worth,stop\n1,a,0:00:08,1,\n1,b,26:00:00,2,ok\n"
+    with refused(r"line 2, column 'took': '0:00:08' .* it counts by itself; leave clock\.unit out"):
+        read_table(text, mapping)
+    assert read_table(text, mapping.replace('unit = "s", ', "")).stages["elapsed_s"].tolist() == [8.0, 93600.0]
+
+
+def test_durations_of_a_workbook_are_days_and_a_clock_on_the_wall_counts_from_nothing(draft):
+    days = [repr(seconds / 86400.0) for seconds in (8, 19, 75, 90061)]
+    draft(TIMES.format(name="duration", times=days), 'unit = "d"  # guess: s, ms, us, ns, min, h or d')
+    draft(
+        TIMES.format(name="duration", times=[0.5, 1.25, 2.5, 3.125]), 'unit = "s"  # guess: s, ms, us, ns, min, h or d'
+    )
+    made = draft(
+        TIMES.format(name="tod", times=["06:00:02", "06:00:08", "06:01:00", "06:01:05"]), 'format = "%H:%M:%S"  # guess'
+    )
+    assert "since" not in made
+
+
+def test_whole_numbers_may_name_actions(draft):
+    steps = "ep,t,action,reward,done\n1,1.5,0,0.5,false\n1,2.5,3,0.25,true\n"
+    draft(steps, "field = \"ep\"  # guess: such as '1'", "field = \"action\"  # guess: such as '0' and '3'")
+    draft(steps.replace(",3,", ",0.5,"), "# [action]")
