@@ -25,9 +25,11 @@ from halfseen.learning.judging import judged
 from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import KernelQ, LinearQ
 from halfseen.learning.recursion import fit_q
+from halfseen.learning.rows import Transitions
 from halfseen.learning.sample import FEWEST_TRAJECTORIES, sampled
 from halfseen.learning.streaming import Fit, sample_of
 from halfseen.logs import Logs, LogStream
+from halfseen.shapes import Bool
 from halfseen.workers.threads import one_thread
 
 MANY_STAGES = 10
@@ -61,15 +63,15 @@ def believable(learn: Callable[[QModel], Fit], model: QModel, logs: Logs | LogSt
     except LogError:  # a covariate that only a scaled Q can hold (`rows.refuse_far`)
         return smooth
     some = _sample(logs, model.random_state)
-    hope, less = too_hopeful(policy, some), ""
+    hope, why = too_hopeful(policy, some), ""
     if hope and not too_hopeful(linear.model.policy(linear.q_functions), some):
-        less = f"Q is linear: a smooth Q promises {hope}"
+        why = f"Q is linear: a smooth Q promises {hope}"
     elif some.num_trajectories >= FEWEST_TRAJECTORIES:
         lead = held_out_lead(linear.model, smooth.model, some)
-        less = f"Q is linear: held out, its policy earns {lead:.3g} more a trajectory than a smooth Q's" * (lead > 0)
-    if not less:
+        why = f"Q is linear: held out, its policy earns {lead:.3g} more a trajectory than a smooth Q's" * (lead > 0)
+    if not why:
         return smooth
-    return linear._replace(model=replace(linear.model, space_chosen=(less,)), chosen=(less, *linear.chosen))
+    return linear._replace(model=replace(linear.model, space_chosen=(why,)), chosen=(why, *linear.chosen))
 
 
 def _sample(logs: Logs | LogStream, seed: int) -> Logs:
@@ -98,19 +100,19 @@ def too_hopeful(policy: DiscretePolicy, logs: Logs) -> str:
 def held_out_lead(model: QModel, other: QModel, logs: Logs) -> float:
     """How much more the policy of a model earns than that of another, by the other's Q on trajectories of neither."""
     trajectories = other.lay_out(logs)
-    log, leads = other.transitions(trajectories), []
-    evaluation = replace(other, pessimism=0.0).regression(logs.num_trajectories, log.is_possible.shape[-1])
+    logs_of = [each.transitions(trajectories) for each in (model, other)]
+    evaluation = replace(other, pessimism=0.0).regression(logs.num_trajectories, logs_of[1].is_possible.shape[-1])
     fold = np.random.default_rng([other.random_state, 6]).permutation(logs.num_trajectories) % 2
+
+    def value(each: QModel, log: Transitions, held_out: Bool[np.ndarray, " n"]) -> float:
+        policy = each.policy(each.fit(log.counted((~held_out).astype(np.float64))))
+        given = logs_of[1]._replace(policy=other.task.target_probabilities(policy, logs, other.horizon))
+        fits = fit_q(given.counted(held_out.astype(np.float64)), evaluation)
+        found = judged(fits, given, evaluation.block_of_action, other.stages, trajectories.reward)
+        return float(found.value[held_out, 0].mean())
+
     with one_thread():
-        for k in range(2):
-            learned, held_out = (fold != k).astype(np.float64), fold == k
-            values = []
-            for each in (model, other):
-                policy = each.policy(each.fit(each.transitions(trajectories).counted(learned)))
-                probabilities = other.task.target_probabilities(policy, logs, other.horizon)
-                given = log._replace(policy=probabilities)
-                fits = fit_q(given.counted(held_out.astype(np.float64)), evaluation)
-                found = judged(fits, given, evaluation.block_of_action, other.stages, trajectories.reward)
-                values.append(found.value[held_out, 0].mean())
-            leads.append(values[0] - values[1])
-    return float(np.mean(leads))
+        ours, others = (
+            [value(each, log, fold == k) for k in range(2)] for each, log in zip((model, other), logs_of, strict=True)
+        )
+    return float(np.mean(ours) - np.mean(others))
