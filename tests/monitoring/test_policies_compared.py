@@ -1,5 +1,7 @@
 """A policy against the rule of today: bounds by naive loops, false verdicts and losses over many lifetimes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -56,7 +58,7 @@ def survival_of(ends, finished, at):
 
 
 def naive_counted(courses):
-    """Chance, A − p, Y − c and A − 1 + p, by loops over trajectories and stages."""
+    """Contributions of trajectories, by loops over trajectories and stages."""
     stages = [np.flatnonzero(courses.trajectory == k) for k in range(courses.num)]
     arms, ended = courses.is_policy.astype(int), courses.is_finished.astype(int)
     begin = next(k for k in range(courses.num) if min(ended[:k] @ arms[:k], ended[:k] @ (1 - arms[:k])) >= 2)
@@ -65,7 +67,7 @@ def naive_counted(courses):
         if learned_at is None or k >= max(learned_at + 1, int(1.25 * learned_at)):
             learned_at = k
             model = naive_learned(courses, stages, k)
-        values, weight, scaled = model
+        values, weight, scaled, hidden, totals = model
         p, a = courses.chance[k], arms[k]
 
         def v(arm, row, values=values, scaled=scaled, first=stages[k][0]):
@@ -77,7 +79,8 @@ def naive_counted(courses):
                 after = v(both, row + 1) if row + 1 in stages[k] else 0.0
                 worth += weight(a, courses.clock_s[row]) * (courses.reward[row] + after - v(both, row))
         first = stages[k][0]
-        found.append((p, a - p, worth - (1 - p) * v(1, first) - p * v(0, first), a - 1 + p))
+        bold = max(0.0, 1.0 - 4.0 * max(hidden) / np.ptp(totals))
+        found.append((p, (a - p) * bold, worth - (1 - p) * v(1, first) - p * v(0, first), a - 1 + p, *hidden))
     return np.array(found).T
 
 
@@ -108,7 +111,20 @@ def naive_learned(courses, stages, num):
                 right += now * courses.reward[row]
         coefficients.append(np.linalg.solve(left, right))
     totals = [np.nansum(courses.reward[stages[k]]) for k in range(num)]
-    return lambda arm, features: np.clip(coefficients[arm] @ features, min(totals), max(totals)), weight, scaled
+
+    def values(arm, features):
+        return np.clip(coefficients[arm] @ features, min(totals), max(totals))
+
+    # Weights make up for these; the others may have earned the most, or the least.
+    mean_weight = [
+        np.mean([weight(arm, courses.end_s[k]) if courses.is_finished[k] else 0.0 for k in of_arm[arm]])
+        for arm in (0, 1)
+    ]
+    of_rule, of_policy = (max(0.0, 1.0 - each) for each in mean_weight)
+    begun = np.mean([values(2, scaled(stages[k][0], 0)) for k in range(num)])
+    above, below = max(totals) - begun, begun - min(totals)
+    hidden = of_rule * above + of_policy * below, of_policy * above + of_rule * below
+    return values, weight, scaled, hidden, totals
 
 
 @pytest.mark.parametrize("cut", [0.0, 0.3])
@@ -135,8 +151,8 @@ def test_wealth_is_that_of_a_loop():
     of = counted(drawn(50, np.random.default_rng(3), chance=0.3, gain=0.5, cut=0.2))
     for gain, side in ((0.0, 1), (0.4, -1)):
         wealth, largest, found = np.ones(4), 0.0, []
-        for k, (p, w, e, g) in enumerate(zip(*of, strict=True)):
-            beside = e - gain * g
+        for k, (p, w, e, g, too_high, too_low) in enumerate(zip(*of, strict=True)):
+            beside = e - (gain + (too_high if side > 0 else -too_low)) * g
             if k:
                 lowered = np.clip(beside, -largest, largest) / (largest or 1.0)
                 outcome = side * w * lowered / max(p, 1 - p)
@@ -154,7 +170,7 @@ def test_bounds_are_where_the_wealth_is_reached_and_hold_the_gain():
         assert beats_at(of, end - side * 1e-2, 0.025, side) is not None
         assert beats_at(of, end + side * 1e-2, 0.025, side) is None
     assert bound(of, 0.05) >= low
-    assert bound(CountedTrajectories(*np.zeros((4, 0))), 0.05) == -np.inf
+    assert bound(CountedTrajectories(*np.zeros((6, 0))), 0.05) == -np.inf
 
 
 @pytest.mark.parametrize("cut", [0.0, 0.3])
@@ -229,6 +245,8 @@ def test_what_is_said():
     assert stopped.endswith(", and its gain stays unknown")
     going_on = Standing(60, 10, 0.4, -0.5, 1.8, 3.0, 0.2, "going on", 16494)
     assert str(going_on).endswith("gain is −0.5 to +1.8 a trajectory; about 16,000 more would decide it")
+    hidden = str(replace(going_on, hidden=0.25))
+    assert hidden.endswith("a trajectory, of which cuts may hide 0.25; about 16,000 more would decide it")
     found = str(standing(drawn(300, np.random.default_rng(0), gain=1.0), Terms()))
     assert found.startswith("the policy is promoted after 300 trajectories, 1")
     assert " a trajectory" in found
@@ -255,5 +273,29 @@ def test_false_verdicts_are_rare_where_success_is_rare_or_usual(rate):
     def draw():
         courses = drawn(200, rng, chance=0.2, num_stages=1)
         return courses._replace(reward=(rng.random(200) < rate).astype(float))
+
+    check_false_verdicts(draw)
+
+
+def test_what_cuts_hide_widens_the_bounds_on_either_side():
+    of = counted(drawn(200, np.random.default_rng(5), gain=1.0))
+    hides = of._replace(too_high=np.full(len(of.excess), 0.2), too_low=np.full(len(of.excess), 0.3))
+    assert bound(hides, 0.05) == pytest.approx(bound(of, 0.05) - 0.2, abs=5e-3)
+    assert bound(hides, 0.05, -1) == pytest.approx(bound(of, 0.05, -1) + 0.3, abs=5e-3)
+
+
+@pytest.mark.slow
+def test_false_verdicts_are_rare_where_cuts_hide_the_slow_successes_of_one_arm():
+    rng = np.random.default_rng(10)
+
+    def draw():
+        is_policy, is_success = rng.random((2, 300)) < 0.5
+        slow, fast, failing = rng.gamma(4.0, 2.0, 300), rng.gamma(2.0, 0.5, 300), rng.gamma(2.0, 1.0, 300)
+        needed = np.where(is_success, np.where(is_policy, fast, slow), failing)
+        end_s = np.minimum(needed, rng.exponential(5.0, 300))
+        is_finished = needed == end_s
+        seen = (np.where(is_finished, each, np.nan) for each in (is_success, needed))
+        trajectory = np.arange(300)
+        return Courses(is_policy, np.full(300, 0.5), end_s, is_finished, trajectory, np.zeros((300, 0)), *seen)
 
     check_false_verdicts(draw)

@@ -10,6 +10,11 @@ gain Δ is δ [WaudbySmithRamdas2024]_. Its wealth against all gains up to δ ev
 All estimates are from earlier trajectories. Only randomly dealt trajectories count, so a drift of the cell, which
 affects both arms, is not mistaken for a gain.
 
+Where Ĝ is small, weights stop growing, and nobody was seen beyond the last cut: of arm a, a share ℓ_a of the weights is
+lost. Its trajectories may have earned the most that any did, or the least, so the gain is known up to a bound
+D = ℓ₀ (high − v) + ℓ₁ (v − low) if arms hide what speaks for the rule. The gambler bets on x_i(δ + D), and less the
+larger D is. If one arm's successes are slow, cuts hide them, and without D a policy that is no better looks better.
+
 The range of x_i is unknown, so each is clipped to the largest absolute value before it. Clipping and the estimates
 under cuts make α a target, not a guarantee; `benchmarks/against.py` counts how often it is missed.
 `halfseen.monitoring.outcomes` weights whole trajectories and needs their range; here the stages before a cut count too.
@@ -31,6 +36,8 @@ SMALLEST_SURVIVAL, NARROWS = 0.5, 2.0
 that is less, for n trajectories to learn from. So an error of v matters less as evidence accumulates."""
 FEWEST_OF_ARM = 10
 """Fewest trajectories of an arm that gets its own values and Ĝ."""
+CAUTION = 4.0
+"""Bets are 0 where cuts may hide a gain of the range of the totals divided by this."""
 RIDGE = 1.0
 """Ridge penalty of v [stages]."""
 BETS = np.array([0.02, 0.15, 0.5, 0.95])
@@ -83,11 +90,15 @@ class CountedTrajectories(NamedTuple):
 
     chance: Float[np.ndarray, " n"]
     bet_on: Float[np.ndarray, " n"]
-    """A − p."""
+    """A − p, times a factor from 1 to 0 the more the cuts may hide."""
     excess: Float[np.ndarray, " n"]
     """Y − c [reward]."""
     share: Float[np.ndarray, " n"]
     """A − 1 + p, the coefficient of the gain in the excess."""
+    too_high: Float[np.ndarray, " n"]
+    """D: by how much cuts may make the gain seem too high [reward]."""
+    too_low: Float[np.ndarray, " n"]
+    """The same, too low."""
 
 
 class _Learned(NamedTuple):
@@ -100,6 +111,8 @@ class _Learned(NamedTuple):
     range: tuple[float, float]
     smallest: float
     """Smallest Ĝ of a weight."""
+    hidden: Float[np.ndarray, " 2"]
+    """By how much cuts may make the gain seem too high, and too low [reward]."""
 
 
 class _Wealth(NamedTuple):
@@ -130,14 +143,14 @@ class ComparisonCache:
     def best(self, of: CountedTrajectories, gain: float, side: int) -> float:
         """Largest logarithm of the wealth so far, as in `log_wealth`; `of` may only grow between calls."""
         asked = gain, side
-        known = self._wealth.get(asked) or self._before.get(asked) or _begun(of, gain)
+        known = self._wealth.get(asked) or self._before.get(asked) or _begun(of, gain, side)
         if known.num < len(of.excess):
             known = _gone_on(of, gain, side, known)[1]
         self._wealth[asked] = known
         return known.best
 
 
-NOTHING = CountedTrajectories(*np.zeros((4, 0)))
+NOTHING = CountedTrajectories(*np.zeros((6, 0)))
 
 
 def counted(
@@ -186,7 +199,21 @@ def _learned(past: Courses) -> _Learned:
     weight = _weights(past, survivals, smallest)
     of_arm = [_of_arm(past, arm)[past.trajectory] for arm in (False, True)]
     each = [_value(features, after, past.reward, weight * rows) for rows in (*of_arm, 1.0)]
-    return _Learned(np.stack(each), survivals, centre, spread, (totals.min(), totals.max()), smallest)
+    learned = _Learned(np.stack(each), survivals, centre, spread, (totals.min(), totals.max()), smallest, np.zeros(2))
+    return learned._replace(hidden=_hidden(past, learned))
+
+
+def _hidden(past: Courses, learned: _Learned) -> Float[np.ndarray, " 2"]:
+    """D on either side, of trajectories for which weights do not make up [reward]."""
+    lost = []
+    for arm, survival in zip((False, True), learned.survivals, strict=True):
+        of = _of_arm(past, arm)
+        weight = 1.0 if survival is None else _weight_at(past.end_s[of], survival, learned.smallest)
+        lost.append(max(0.0, 1.0 - float((past.is_finished[of] * weight).mean())))
+    first = np.searchsorted(past.trajectory, np.arange(past.num))
+    worth = _values(past, learned)[2, first].mean()
+    low, high = learned.range
+    return np.array([lost, lost[::-1]]) @ [high - worth, worth - low]
 
 
 def _of_arm(past: Courses, arm: bool) -> Bool[np.ndarray, " n"]:
@@ -207,8 +234,12 @@ def _weights(courses: Courses, survivals: list[KaplanMeier | None], smallest: fl
     for arm, survival in enumerate(survivals):
         if survival is not None:
             rows = is_done & (courses.is_policy[courses.trajectory] == bool(arm))
-            weight[rows] = 1.0 / np.maximum(survival.survival(courses.clock_s[rows]), smallest)
+            weight[rows] = _weight_at(courses.clock_s[rows], survival, smallest)
     return weight
+
+
+def _weight_at(time_s: Float[np.ndarray, " k"], survival: KaplanMeier, smallest: float) -> Float[np.ndarray, " k"]:
+    return 1.0 / np.maximum(survival.survival(time_s), smallest)
 
 
 def _goes_on(courses: Courses) -> Bool[np.ndarray, " m"]:
@@ -231,16 +262,23 @@ def _value(
 
 def _added(learned: _Learned, new: Courses) -> CountedTrajectories:
     first = np.searchsorted(new.trajectory, np.arange(new.num))
-    columns = (_columns(new) - learned.centre) / learned.spread
-    features = np.column_stack([np.ones(len(columns)), columns])
-    # Sum each row separately: the last bit of a matrix product depends on the other rows.
-    values = np.clip((learned.coefficients[:, None] * features).sum(axis=2), *learned.range)
-    of_rule, of_policy, value = values
+    of_rule, of_policy, value = _values(new, learned)
     after = np.where(_goes_on(new), np.roll(value, -1), 0.0)
     news = _weights(new, learned.survivals, learned.smallest) * (np.nan_to_num(new.reward) + after - value)
     worth = value[first] + np.bincount(new.trajectory, news, new.num)
     p, a = new.chance, new.is_policy.astype(np.float64)
-    return CountedTrajectories(p, a - p, worth - (1.0 - p) * of_policy[first] - p * of_rule[first], a - 1.0 + p)
+    excess = worth - (1.0 - p) * of_policy[first] - p * of_rule[first]
+    bet_on = (a - p) * max(0.0, 1.0 - CAUTION * learned.hidden.max() / max(np.ptp(learned.range), NOISE))
+    hidden = np.repeat(learned.hidden[:, None], new.num, axis=1)
+    return CountedTrajectories(p, bet_on, excess, a - 1.0 + p, *hidden)
+
+
+def _values(courses: Courses, learned: _Learned) -> Float[np.ndarray, "3 m"]:
+    """v⁰, v¹ and v of each stage."""
+    columns = (_columns(courses) - learned.centre) / learned.spread
+    features = np.column_stack([np.ones(len(columns)), columns])
+    # Sum each row separately: the last bit of a matrix product depends on the other rows.
+    return np.clip((learned.coefficients[:, None] * features).sum(axis=2), *learned.range)
 
 
 def log_wealth(of: CountedTrajectories, gain: float, side: int = 1) -> Float[np.ndarray, " n"]:
@@ -255,12 +293,18 @@ def log_wealth(of: CountedTrajectories, gain: float, side: int = 1) -> Float[np.
     side
         1, or −1 for a bet that it gains less.
     """
-    return np.append(np.zeros(min(len(of.excess), 1)), _gone_on(of, gain, side, _begun(of, gain))[0])
+    return np.append(np.zeros(min(len(of.excess), 1)), _gone_on(of, gain, side, _begun(of, gain, side))[0])
 
 
-def _begun(of: CountedTrajectories, gain: float) -> _Wealth:
+def _beside(of: CountedTrajectories, gain: float, side: int, which: slice) -> Float[np.ndarray, " k"]:
+    """Excess over a gain, and over what cuts may hide of it [reward]."""
+    least = gain + of.too_high[which] if side > 0 else gain - of.too_low[which]
+    return of.excess[which] - least * of.share[which]
+
+
+def _begun(of: CountedTrajectories, gain: float, side: int) -> _Wealth:
     """Initial wealth; the first trajectory is not bet on and only sets the scale."""
-    first = np.abs(of.excess[:1] - gain * of.share[:1])
+    first = np.abs(_beside(of, gain, side, slice(0, 1)))
     return _Wealth(len(first), float(first.sum()), np.zeros(len(BETS)), 0.0)
 
 
@@ -268,7 +312,7 @@ def _gone_on(
     of: CountedTrajectories, gain: float, side: int, known: _Wealth
 ) -> tuple[Float[np.ndarray, " k"], _Wealth]:
     """Logarithm of the wealth after each of the k trajectories that were not bet on yet."""
-    beside = of.excess[known.num :] - gain * of.share[known.num :]
+    beside = _beside(of, gain, side, slice(known.num, None))
     # Clip to the largest absolute value so far, in either arm.
     largest = np.maximum.accumulate(np.append(known.largest, np.abs(beside)))
     lowered = np.clip(beside, -largest[:-1], largest[:-1]) / np.where(largest[:-1] > 0.0, largest[:-1], 1.0)

@@ -65,6 +65,8 @@ class Standing:
         "promoted", "stopped" or "going on".
     more
         Approximate number of further trajectories until a verdict; None if unknown.
+    hidden
+        How much of the gain cuts may hide [reward]; `low` and `high` allow for it.
     """
 
     num: int
@@ -76,6 +78,7 @@ class Standing:
     share: float
     verdict: Verdict
     more: int | None
+    hidden: float = 0.0
 
     def __str__(self) -> str:
         stands = "the comparison goes on" if self.verdict == "going on" else f"the policy is {self.verdict}"
@@ -85,6 +88,8 @@ class Standing:
                 return f"{so_far}: it may have lost {self.worst_loss or 0.0:.2g}, and its gain stays unknown"
             return f"{so_far}: the policy's gain is not known yet; that takes more finished trajectories of both"
         known = f"{so_far}: the policy's gain is {_signed(self.low)} to {_signed(self.high)} a trajectory"
+        if self.hidden:
+            known = f"{known}, of which cuts may hide {self.hidden:.2g}"
         if self.verdict != "going on":
             return known
         more = "how many more" if self.more is None else f"about {float(f'{self.more:.2g}'):,.0f} more"
@@ -126,7 +131,8 @@ def standing(
     # After the verdict, trajectories are no longer dealt.
     is_dealt = (courses.chance > 0.0) & (courses.chance < 1.0)
     dealt = int(is_dealt.sum()), int(courses.is_policy[is_dealt].sum())
-    return Standing(*dealt, known[0], known[1], known[2], known[3], share, verdict, more)
+    hidden = float(max(of.too_high[-1], of.too_low[-1])) if len(of.excess) else 0.0
+    return Standing(*dealt, known[0], known[1], known[2], known[3], share, verdict, more, _finite(hidden) or 0.0)
 
 
 def _finite(number: float) -> float | None:

@@ -165,6 +165,7 @@ class Compared(Struct, frozen=True, kw_only=True):
     worst_loss: Annotated[Amount, _is("Upper bound on the policy's total loss, wrong with probability 0.05 at most.")]
     most_loss: Annotated[Amount, _is("Total loss above which the policy is stopped; null for no limit.")]
     more: Annotated[int | None, _is("About how many more trajectories would decide; null if unknown.")]
+    hidden: Annotated[float, _is("How much of the gain cuts may hide [reward]; the bounds allow for it.")]
 
 
 class LoggedTrajectory(Struct, frozen=True, kw_only=True):
