@@ -79,8 +79,8 @@ def naive_counted(courses):
                 after = v(both, row + 1) if row + 1 in stages[k] else 0.0
                 worth += weight(a, courses.clock_s[row]) * (courses.reward[row] + after - v(both, row))
         first = stages[k][0]
-        bold = max(0.0, 1.0 - 4.0 * max(hidden) / np.ptp(totals))
-        found.append((p, (a - p) * bold, worth - (1 - p) * v(1, first) - p * v(0, first), a - 1 + p, *hidden))
+        excess = worth - (1 - p) * v(1, first) - p * v(0, first)
+        found.append((p, a - p, excess, a - 1 + p, *hidden, np.ptp(totals)))
     return np.array(found).T
 
 
@@ -149,10 +149,12 @@ def test_without_cuts_a_trajectory_is_worth_what_it_earned():
 
 def test_wealth_is_that_of_a_loop():
     of = counted(drawn(50, np.random.default_rng(3), chance=0.3, gain=0.5, cut=0.2))
-    for gain, side in ((0.0, 1), (0.4, -1)):
+    for gain, side in ((0.0, 1), (-0.6, 1), (0.4, -1)):
         wealth, largest, found = np.ones(4), 0.0, []
-        for k, (p, w, e, g, too_high, too_low) in enumerate(zip(*of, strict=True)):
-            beside = e - (gain + (too_high if side > 0 else -too_low)) * g
+        for k, (p, w, e, g, too_high, too_low, spread) in enumerate(zip(*of, strict=True)):
+            hidden = too_high if side > 0 else too_low
+            beside = e - (gain + side * hidden) * g
+            w *= max(0.0, 1.0 - 4.0 * hidden / (spread + 4.0 * max(0.0, -side * gain)))
             if k:
                 lowered = np.clip(beside, -largest, largest) / (largest or 1.0)
                 outcome = side * w * lowered / max(p, 1 - p)
@@ -170,7 +172,7 @@ def test_bounds_are_where_the_wealth_is_reached_and_hold_the_gain():
         assert beats_at(of, end - side * 1e-2, 0.025, side) is not None
         assert beats_at(of, end + side * 1e-2, 0.025, side) is None
     assert bound(of, 0.05) >= low
-    assert bound(CountedTrajectories(*np.zeros((6, 0))), 0.05) == -np.inf
+    assert bound(CountedTrajectories(*np.zeros((7, 0))), 0.05) == -np.inf
 
 
 @pytest.mark.parametrize("cut", [0.0, 0.3])
@@ -280,6 +282,7 @@ def test_false_verdicts_are_rare_where_success_is_rare_or_usual(rate):
 def test_what_cuts_hide_widens_the_bounds_on_either_side():
     of = counted(drawn(200, np.random.default_rng(5), gain=1.0))
     hides = of._replace(too_high=np.full(len(of.excess), 0.2), too_low=np.full(len(of.excess), 0.3))
+    hides, of = (each._replace(range=np.full(len(of.excess), 1e9)) for each in (hides, of))
     assert bound(hides, 0.05) == pytest.approx(bound(of, 0.05) - 0.2, abs=5e-3)
     assert bound(hides, 0.05, -1) == pytest.approx(bound(of, 0.05, -1) + 0.3, abs=5e-3)
 

@@ -11,9 +11,8 @@ All estimates are from earlier trajectories. Only randomly dealt trajectories co
 affects both arms, is not mistaken for a gain.
 
 Where Ĝ is small, weights stop growing, and nobody was seen beyond the last cut: of arm a, a share ℓ_a of the weights is
-lost. Its trajectories may have earned the most that any did, or the least, so the gain is known up to a bound
-D = ℓ₀ (high − v) + ℓ₁ (v − low) if arms hide what speaks for the rule. The gambler bets on x_i(δ + D), and less the
-larger D is. If one arm's successes are slow, cuts hide them, and without D a policy that is no better looks better.
+lost. Its trajectories may have earned the most that any did, or the least, so the gain may seem too high by
+D = ℓ₀ (high − v) + ℓ₁ (v − low), as where cuts hide the slow successes of the rule. The gambler bets on x_i(δ + D).
 
 The range of x_i is unknown, so each is clipped to the largest absolute value before it. Clipping and the estimates
 under cuts make α a target, not a guarantee; `benchmarks/against.py` counts how often it is missed.
@@ -36,8 +35,8 @@ SMALLEST_SURVIVAL, NARROWS = 0.5, 2.0
 that is less, for n trajectories to learn from. So an error of v matters less as evidence accumulates."""
 FEWEST_OF_ARM = 10
 """Fewest trajectories of an arm that gets its own values and Ĝ."""
-CAUTION = 4.0
-"""Bets are 0 where cuts may hide a gain of the range of the totals divided by this."""
+CAUTION = 0.25
+"""Nothing is bet on a gain where cuts may hide as much as this share of the range of totals."""
 RIDGE = 1.0
 """Ridge penalty of v [stages]."""
 BETS = np.array([0.02, 0.15, 0.5, 0.95])
@@ -46,8 +45,6 @@ STAKES = np.array([1.0, 1.0, 2.0, 2.0]) / 6.0
 """Initial wealth of each bet; more on large bets, which detect large gains early."""
 NUM_HALVINGS, FARTHEST = 17, 64.0
 """Bisection steps for a bound; and the end of its search range, in multiples of the largest excess."""
-
-
 NOISE = 1e-12
 """Size of a bound that is 0 but for rounding [reward]."""
 
@@ -90,7 +87,7 @@ class CountedTrajectories(NamedTuple):
 
     chance: Float[np.ndarray, " n"]
     bet_on: Float[np.ndarray, " n"]
-    """A − p, times a factor from 1 to 0 the more the cuts may hide."""
+    """A − p."""
     excess: Float[np.ndarray, " n"]
     """Y − c [reward]."""
     share: Float[np.ndarray, " n"]
@@ -99,6 +96,8 @@ class CountedTrajectories(NamedTuple):
     """D: by how much cuts may make the gain seem too high [reward]."""
     too_low: Float[np.ndarray, " n"]
     """The same, too low."""
+    range: Float[np.ndarray, " n"]
+    """Of the totals before [reward]."""
 
 
 class _Learned(NamedTuple):
@@ -150,7 +149,7 @@ class ComparisonCache:
         return known.best
 
 
-NOTHING = CountedTrajectories(*np.zeros((6, 0)))
+NOTHING = CountedTrajectories(*np.zeros((7, 0)))
 
 
 def counted(
@@ -268,9 +267,8 @@ def _added(learned: _Learned, new: Courses) -> CountedTrajectories:
     worth = value[first] + np.bincount(new.trajectory, news, new.num)
     p, a = new.chance, new.is_policy.astype(np.float64)
     excess = worth - (1.0 - p) * of_policy[first] - p * of_rule[first]
-    bet_on = (a - p) * max(0.0, 1.0 - CAUTION * learned.hidden.max() / max(np.ptp(learned.range), NOISE))
-    hidden = np.repeat(learned.hidden[:, None], new.num, axis=1)
-    return CountedTrajectories(p, bet_on, excess, a - 1.0 + p, *hidden)
+    same = (np.full(new.num, each) for each in (*learned.hidden, np.ptp(learned.range)))
+    return CountedTrajectories(p, a - p, excess, a - 1.0 + p, *same)
 
 
 def _values(courses: Courses, learned: _Learned) -> Float[np.ndarray, "3 m"]:
@@ -296,15 +294,19 @@ def log_wealth(of: CountedTrajectories, gain: float, side: int = 1) -> Float[np.
     return np.append(np.zeros(min(len(of.excess), 1)), _gone_on(of, gain, side, _begun(of, gain, side))[0])
 
 
-def _beside(of: CountedTrajectories, gain: float, side: int, which: slice) -> Float[np.ndarray, " k"]:
-    """Excess over a gain, and over what cuts may hide of it [reward]."""
-    least = gain + of.too_high[which] if side > 0 else gain - of.too_low[which]
-    return of.excess[which] - least * of.share[which]
+def _against(
+    of: CountedTrajectories, gain: float, side: int, begin: int
+) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+    """Excess over a gain and over what cuts may hide of it [reward], and the share of each bet that is placed."""
+    hidden = (of.too_high if side > 0 else of.too_low)[begin:]
+    beside = of.excess[begin:] - (gain + side * hidden) * of.share[begin:]
+    far = np.maximum(CAUTION * of.range[begin:] + max(0.0, -side * gain), NOISE)
+    return beside, np.maximum(0.0, 1.0 - hidden / far)
 
 
 def _begun(of: CountedTrajectories, gain: float, side: int) -> _Wealth:
     """Initial wealth; the first trajectory is not bet on and only sets the scale."""
-    first = np.abs(_beside(of, gain, side, slice(0, 1)))
+    first = np.abs(_against(of, gain, side, 0)[0][:1])
     return _Wealth(len(first), float(first.sum()), np.zeros(len(BETS)), 0.0)
 
 
@@ -312,12 +314,12 @@ def _gone_on(
     of: CountedTrajectories, gain: float, side: int, known: _Wealth
 ) -> tuple[Float[np.ndarray, " k"], _Wealth]:
     """Logarithm of the wealth after each of the k trajectories that were not bet on yet."""
-    beside = _beside(of, gain, side, slice(known.num, None))
+    beside, placed = _against(of, gain, side, known.num)
     # Clip to the largest absolute value so far, in either arm.
     largest = np.maximum.accumulate(np.append(known.largest, np.abs(beside)))
     lowered = np.clip(beside, -largest[:-1], largest[:-1]) / np.where(largest[:-1] > 0.0, largest[:-1], 1.0)
     chance = of.chance[known.num :]
-    outcome = side * of.bet_on[known.num :] * lowered / np.maximum(chance, 1.0 - chance)
+    outcome = side * placed * of.bet_on[known.num :] * lowered / np.maximum(chance, 1.0 - chance)
     wealth = np.column_stack([known.of_bets, np.log1p(BETS[:, None] * outcome)]).cumsum(axis=1)
     top = wealth[:, 1:].max(axis=0)
     after = top + np.log((STAKES[:, None] * np.exp(wealth[:, 1:] - top)).sum(axis=0))
