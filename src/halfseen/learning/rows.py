@@ -15,7 +15,7 @@ from halfseen.arrays import library_of, mapped
 from halfseen.censoring import StageClocks
 from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.lazy import Frame
-from halfseen.learning.q_space import StageMode
+from halfseen.learning.q_space import LEAST_RANGE, StageMode
 from halfseen.learning.task import Encoded
 from halfseen.logs.checks import LARGEST
 from halfseen.shapes import Bool, Float, Int
@@ -263,9 +263,8 @@ def refuse_vanishing(reward: Float[np.ndarray, " m"]) -> None:
         )
 
 
-LARGEST_MEAN, LEAST_RANGE = 3e5, 1e-12
-"""Mean in standard deviations from which on the sums of a linear Q lose a feature (`ridge.RANK_TOLERANCE`); and range
-relative to the mean below which values differ by rounding alone."""
+LARGEST_MEAN = 3e5
+"""Mean in standard deviations from which on the sums of a linear Q lose a feature (`ridge.RANK_TOLERANCE`)."""
 
 
 def is_far(values: Float[np.ndarray, " m"], most: float | int = LARGEST_MEAN) -> bool:
