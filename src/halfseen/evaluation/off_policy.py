@@ -59,7 +59,8 @@ def doubt_of(logs: Logs, task: Task, has_probability: bool, trust: Collection[st
     trust
         Subset of `TRUST`: checks to omit.
     """
-    unknown = [trust] if isinstance(trust, str) else [name for name in trust if name not in TRUST]
+    is_list = isinstance(trust, Collection) and not isinstance(trust, str)
+    unknown = [name for name in trust if name not in TRUST] if is_list else [trust]
     if unknown:
         raise ArgumentError(f"trust is {unknown[0]!r}; give a list of some of {', '.join(TRUST)}")
     looked_at = getattr(task, "covariates", ())

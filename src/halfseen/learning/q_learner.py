@@ -326,9 +326,9 @@ class CensoredQLearner(Estimator):
 
     def _task(self) -> Task:
         if isinstance(self.actions, type) or not isinstance(self.actions, (Sequence, Mapping, Task)):
-            raise ArgumentError(
-                f"actions is {self.actions!r}; give a list of names, one for each stage, or an object that is a Task"
-            )
+            what = f"a {type(self.actions).__name__}" if hasattr(self.actions, "dtype") else repr(self.actions)
+            names = "give a list of names, one for each stage"
+            raise ArgumentError(f"actions is {what}; {names}, or an object that is a Task")
         if not isinstance(self.actions, Task):
             return NamedActions(self.actions, self.covariates)
         if len(self.covariates):
