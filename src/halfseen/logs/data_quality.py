@@ -18,16 +18,15 @@ from pandas.util import hash_pandas_object
 
 from halfseen.arrays import Rows
 from halfseen.logs.columns import shown
-from halfseen.logs.copied_columns import actions_as_covariates, is_copy_of, rewards_as_covariates, stuck_sensors
-from halfseen.logs.grouping import (
-    can_be_counted,
-    coded,
-    covariate_columns,
-    grouped_covariates,
-    is_number,
-    is_one_kind,
-    rows_with,
+from halfseen.logs.copied_columns import (
+    actions_as_covariates,
+    constant_covariates,
+    far_values,
+    is_copy_of,
+    rewards_as_covariates,
+    stuck_sensors,
 )
+from halfseen.logs.grouping import coded, covariate_columns, grouped_covariates, is_number, rows_with
 from halfseen.logs.logs import Logs
 from halfseen.logs.mixed_units import clocks_of_robots, long_clocks, mixed_clocks, mixed_covariates, short_clocks
 from halfseen.logs.plausibility import (
@@ -41,7 +40,7 @@ from halfseen.suggestions import alike, spelled_out
 
 FEWEST_ROWS, FEWEST_CUTS, FEWEST_TRAJECTORIES = 10, 5, 30
 FEWEST_IN_STATE, FEWEST_STAGES, RARE_SHARE = 50, 200, 0.01
-SAME_END, NEARLY_ALL, NUM_NAMED, MOST_SPELLINGS = 0.01, 0.99, 3, 1000
+SAME_END, NEARLY_ALL, NUM_NAMED, MOST_SPELLINGS, MOST_COUNTED = 0.01, 0.99, 3, 1000, 20
 AS_NUMBER = r"[+-]?(?:\d{1,3}(?:[.,'\u2019 ]\d{3})+(?:[.,]\d+)?|\d*[.,]\d+)"
 """A fraction, or a number with thousands separators."""
 READ_AS_MISSING = {"nan", "<na>", "null", "n/a", "#n/a", "#nv", "nat"}
@@ -238,6 +237,18 @@ def _rare_actions(logs: Logs) -> Iterator[str]:
         yield f"{_were('action', rare)} taken in less than 1 % of {total} stages: too few to learn from"
 
 
+def _never_completed(logs: Logs) -> Iterator[str]:
+    """Find categories that only stages show in which a trajectory was cut."""
+    done: Any = logs.stages[logs.stages["elapsed_s"].notna()]
+    for name in logs.stage_covariates:
+        known, shown_there = set(_texts(done[name])), set(_texts(logs.stages[name]))
+        if known < shown_there and len(shown_there) <= MOST_COUNTED:
+            yield (
+                f"where {name} is {_listed(sorted(shown_there - known))}, every stage was cut: what follows is "
+                "unknown, and what a policy does there is a guess"
+            )
+
+
 def _no_probability(logs: Logs) -> Iterator[str]:
     """Warn only if there were several actions to choose from."""
     actions = logs.stages["action"].dropna()
@@ -260,17 +271,6 @@ def _equal_rewards(logs: Logs) -> Iterator[str]:
     rewards = logs.stages["reward"].dropna()
     if len(rewards) >= FEWEST_ROWS and rewards.nunique() == 1:
         yield f"all {len(rewards)} rewards are {rewards.iloc[0]:g}: no action is better than another"
-
-
-def _constant_covariates(logs: Logs) -> Iterator[str]:
-    for name, values, _ in covariate_columns(logs):
-        if len(values) < FEWEST_ROWS or not can_be_counted(values) or not is_one_kind(values):
-            continue
-        # A count that is always 0 is not a dead sensor.
-        if not (pd.api.types.is_integer_dtype(values.dtype) and values.iloc[0] == 0):
-            yield (
-                f"{name} is {shown(values.iloc[0])} in all {len(values)} rows: a dead sensor, or a column to leave out"
-            )
 
 
 def _duplicates(logs: Logs) -> Iterator[str]:
@@ -337,10 +337,12 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "reward-as-covariate": rewards_as_covariates,
     "spelling": _spelling,
     "rare-action": _rare_actions,
+    "never-completed": _never_completed,
     "no-probability": _no_probability,
     "no-exploration": _no_exploration,
     "equal-rewards": _equal_rewards,
-    "constant-covariate": _constant_covariates,
+    "constant-covariate": constant_covariates,
     "stuck-sensor": stuck_sensors,
+    "far-value": far_values,
     "duplicated-trajectories": _duplicates,
 }
