@@ -319,7 +319,7 @@ class CensoredQLearner(Estimator):
 
     @property
     def unseen_(self) -> list[str]:
-        """One sentence for each action that was never completed in the log, so that the policy never takes it."""
+        """One sentence for each action that was never completed in the log, and for stages that none was."""
         check_fitted(self, "model_")
         assert self.model_.support is not None
         return unseen_in_words(self.model_.support, self.model_.task.block_names, self.model_.stages)

@@ -219,7 +219,7 @@ def support_of(trajectories: TrajectoryArrays, kinds: Int[np.ndarray, " A"], num
 
 
 def unseen_in_words(support: Support, names: tuple[str, ...], stages: StageMode) -> list[str]:
-    """Describe each kind that was possible but never completed: in which stages, and how often it began."""
+    """Describe each kind that was possible but never completed, where and how often it began; and empty stages."""
     reached: Bool[np.ndarray, "T 1"] = np.any(support.num_completed > 0, axis=1, keepdims=True)
     lacking = support.is_allowed & ~support.is_seen(stages) & reached
     findings = []
@@ -231,6 +231,12 @@ def unseen_in_words(support: Support, names: tuple[str, ...], stages: StageMode)
         findings.append(
             f"{names[kind]} was never completed{where} ({cut}), so its value is unknown and the policy never "
             "takes it there; to learn it, log it uniformly at random now and then"
+        )
+    empty = [str(row + 1) for row in np.flatnonzero(~reached)] if stages == "separate" else []
+    if empty:
+        findings.append(
+            f"no trajectory completed stage {', '.join(empty)}, so no action has a value there, and the policy takes "
+            "the first; lower the horizon, or pool the stages"
         )
     return findings
 
