@@ -13,8 +13,6 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import pandas as pd
-from pandas.util import hash_pandas_object
 
 from halfseen.arrays import Rows
 from halfseen.logs.columns import shown
@@ -31,6 +29,7 @@ from halfseen.logs.logs import Logs
 from halfseen.logs.mixed_units import clocks_of_robots, long_clocks, mixed_clocks, mixed_covariates, short_clocks
 from halfseen.logs.plausibility import (
     MOST_EXPLAINED,
+    copied_trajectories,
     cuts_called_finished,
     leaks,
     outcomes_among_covariates,
@@ -273,30 +272,6 @@ def _equal_rewards(logs: Logs) -> Iterator[str]:
         yield f"all {len(rewards)} rewards are {rewards.iloc[0]:g}: no action is better than another"
 
 
-def _duplicates(logs: Logs) -> Iterator[str]:
-    """Find copies: trajectories that agree to the last digit in two fractional durations. Whole numbers may agree."""
-    stages: Any = logs.stages
-    content = stages[["stage", "elapsed_s", "action", "reward"]].astype({"action": str})
-    prints: Any = hash_pandas_object(content, index=False)  # pyright: ignore[reportCallIssue]
-    first_row = np.flatnonzero(stages["stage"].to_numpy() == 1)
-    prints = pd.Series(np.add.reduceat(prints.to_numpy(), first_row), index=logs.trajectory_ids)
-    prints = prints[prints.duplicated(keep=False)]
-    if len(prints):
-        rows = stages["trajectory"].isin(prints.index).to_numpy()
-        part = (pd.Series(logs.durations_s()[rows]) % 1.0).round(6) % 1.0
-        num_measured = part.where(part > 0).groupby(stages["trajectory"].to_numpy()[rows]).nunique()
-        prints = prints[(num_measured >= 2).reindex(prints.index).to_numpy()]
-    repeated = prints[prints.duplicated(keep=False)]
-    if len(repeated):
-        first = [shown(name) for name in repeated.index[repeated == repeated.iloc[0]][:2]]
-        num_copies = int(prints.duplicated().sum())
-        yield (
-            f"{num_copies} {'trajectory is a copy' if num_copies == 1 else 'trajectories are copies'} of another (such "
-            f"as {' and '.join(first)}): the same clock, actions and rewards to the last digit; drop what was logged "
-            "twice"
-        )
-
-
 def _texts(values: Any) -> Any:
     """The text values of a column."""
     return values[:0] if is_number(values) else values[values.map(lambda each: isinstance(each, str)).astype(bool)]
@@ -344,5 +319,5 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "constant-covariate": constant_covariates,
     "stuck-sensor": stuck_sensors,
     "far-value": far_values,
-    "duplicated-trajectories": _duplicates,
+    "duplicated-trajectories": copied_trajectories,
 }
