@@ -33,7 +33,7 @@ from halfseen.evaluation.comparison import Contender
 from halfseen.evaluation.estimate import Estimate, check_level
 from halfseen.evaluation.evaluation import Evaluation, claim_of, guess_of
 from halfseen.evaluation.exploring import NOWHERE, Exploration, exploration_of
-from halfseen.evaluation.off_policy import judging
+from halfseen.evaluation.off_policy import doubt_of, judging
 from halfseen.evaluation.specification import specification
 from halfseen.evaluation.tabular import gain_of
 from halfseen.evaluation.targets import LOGGING, CrossFitted
@@ -258,7 +258,8 @@ def held_out_verdict(
                 if against not in (None, LOGGING):
                     raise ArgumentError("a tabular policy is compared only with the logging policy; leave against out")
                 gain = gain_of(policy, learner.model_, present, float(learner.q_functions_.reg[-1, 0]), level)
-                found = HeldOutVerdict(*gain.verdict(level), num_folds)
+                doubt = doubt_of(present, learner.model_.task, False, trust)
+                found = HeldOutVerdict(*(gain.verdict(level) if doubt is None else ("inconclusive", doubt)), num_folds)
             else:
                 found = _judged(policy, learner, present, num_folds, against, level, trust, workers)
     except HalfseenError as error:
