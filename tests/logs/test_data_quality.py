@@ -158,6 +158,8 @@ def without_probability(tables):
         (lambda tables: tables["stages"].insert(
             0, "view", np.where(tables["stages"]["elapsed_s"].isna(), "lost", tables["stages"]["stage"].astype(str))),
          "never-completed", "^where view is lost, every stage was cut: what follows is unknown"),
+        (lambda tables: tables["stages"].insert(0, "is_lost", 1 * tables["stages"]["elapsed_s"].isna()),
+         "never-completed", "^where is_lost is 1, every stage was cut"),
         (stages("distance", 0.75, late), "stuck-sensor",
          "^covariate distance is 0.75 in 60 successive trajectories, from 60 to 119, and differs from each other one"),
         *(

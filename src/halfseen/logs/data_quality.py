@@ -24,7 +24,7 @@ from halfseen.logs.copied_columns import (
     rewards_as_covariates,
     stuck_sensors,
 )
-from halfseen.logs.grouping import coded, covariate_columns, grouped_covariates, is_number, rows_with
+from halfseen.logs.grouping import can_be_counted, coded, covariate_columns, grouped_covariates, is_number, rows_with
 from halfseen.logs.logs import Logs
 from halfseen.logs.mixed_units import clocks_of_robots, long_clocks, mixed_clocks, mixed_covariates, short_clocks
 from halfseen.logs.plausibility import (
@@ -237,13 +237,16 @@ def _rare_actions(logs: Logs) -> Iterator[str]:
 
 
 def _never_completed(logs: Logs) -> Iterator[str]:
-    """Find categories that only stages show in which a trajectory was cut."""
-    done: Any = logs.stages[logs.stages["elapsed_s"].notna()]
+    """Find categories, and one of two numbers, that only stages show in which a trajectory was cut."""
+    is_done = logs.stages["elapsed_s"].notna()
     for name in logs.stage_covariates:
-        known, shown_there = set(_texts(done[name])), set(_texts(logs.stages[name]))
-        if known < shown_there and len(shown_there) <= MOST_COUNTED:
+        values: Any = logs.stages[name]
+        if not can_be_counted(values):
+            continue
+        known, lost = (set(values[rows].dropna().unique()) for rows in (is_done, ~is_done))
+        if lost - known and len(lost | known) <= (2 if is_number(values) else MOST_COUNTED):
             yield (
-                f"where {name} is {_listed(sorted(shown_there - known))}, every stage was cut: what follows is "
+                f"where {name} is {_listed(sorted(map(str, lost - known)))}, every stage was cut: what follows is "
                 "unknown, and what a policy does there is a guess"
             )
 
