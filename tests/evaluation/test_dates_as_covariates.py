@@ -10,7 +10,7 @@ from halfseen.logs import Logs
 from refusals import refused
 from small_logs import flat_log
 
-ORIGINS = [1e6, 3e8]
+ORIGINS = [1e6, 3e8, 1.7e9]
 
 
 def moved(origin):
@@ -36,7 +36,7 @@ def test_the_origin_of_a_covariate_changes_no_value(options):
 
 @pytest.mark.parametrize("origin", ORIGINS)
 def test_a_linear_q_refuses_a_covariate_that_its_sums_would_lose(origin):
-    told = r"covariate 'x1' is about [13]e\+0[68] and differs by 0.9\d, which rounding would erase from a linear Q"
+    told = r"covariate 'x1' is about .*e\+0[689] and differs by 0.9\d, which rounding would erase from a linear Q"
     learner = CensoredQLearner.of_paper(2, ["A", "B", "C"], ["x1"])
     with refused(told):
         learner.fit(moved(origin))

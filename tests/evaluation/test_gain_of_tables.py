@@ -9,6 +9,7 @@ from halfseen.evaluation.held_out import learn_by_folds
 from halfseen.evaluation.tabular import gain_of
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
+from small_logs import log_of
 
 STATES, ACTIONS = [f"s{number:02d}" for number in range(25)], ["a", "b", "c"]
 
@@ -58,3 +59,16 @@ def test_too_few_stages_of_a_single_decision_make_nothing_better(seed):
     verdict = held_out_verdict(CensoredQLearner(1, ACTIONS, ["state"]).fit(logs), logs)
     assert verdict.verdict == "inconclusive"
     assert "times a state, but 10 are needed; record more" in verdict.reason
+
+
+def test_no_verdict_on_a_table_rests_on_copies_unless_they_are_trusted():
+    rng, num = np.random.default_rng(0), 600
+    seen = {"trajectory": np.repeat(range(num), 2), "stage": np.tile([1, 2], num)}
+    seen |= {"state": rng.choice(STATES, 2 * num), "action": rng.choice(ACTIONS[:2], 2 * num)}
+    seen["reward"] = (seen["action"] == "a") + rng.normal(size=2 * num)
+    once = pd.DataFrame({**seen, "elapsed_s": rng.gamma(2.0, size=(num, 2)).cumsum(axis=1).ravel()})
+    logs = log_of(**pd.concat([once, once.assign(trajectory=once["trajectory"] + num)]).to_dict("list"))
+    learner = CensoredQLearner(2, ACTIONS[:2], ["state"]).fit(logs)
+    found = held_out_verdict(learner, logs)
+    assert (found.verdict, "600 trajectories are copies of another" in found.reason) == ("inconclusive", True)
+    assert held_out_verdict(learner, logs, trust=["trajectories"]).verdict == "better"

@@ -135,6 +135,16 @@ def test_what_helps_is_better_and_the_folds_are_pooled():
     assert (kept["verdict"], kept["comparisons"][0]["baseline"]) == ("better", "the logging policy")
 
 
+def test_an_action_that_the_log_does_not_have_changes_no_verdict():
+    logs = log(3, num_trajectories=100, cut_rate=0.05)
+    found, other = (
+        held_out_verdict(learner().set_params(actions=actions).fit(logs), logs, against="logging")
+        for actions in (["A", "B"], ["A", "Z", "B"])
+    )
+    assert (other.reason, other.claims) == (found.reason, found.claims)
+    assert other.evaluation is not None
+
+
 def test_where_nothing_is_to_be_learned_nothing_is_claimed():
     logs = log(4, num_trajectories=200)
     noise = with_rewards(logs, np.random.default_rng(4).normal(size=logs.num_stages))
@@ -307,6 +317,20 @@ def test_a_guess_of_which_nothing_is_known_says_why():
     assert guess_of(hidden) == "unknown; no action is known"
     doubted = guess_of(replace(found.best, doubt="the log cannot be true"))
     assert doubted.endswith(" a trajectory than the logging policy, not provable while the log is in doubt")
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"logs": None}, "logs is a NoneType; give Logs"),
+        ({"num_folds": 2.5}, "num_folds is 2.5"),
+        ({"level": 95}, "level is 95; give a number above 0 and at most"),
+    ],
+)
+def test_arguments_that_cannot_be_are_refused_and_no_verdict(changed, told):
+    logs = log(5, num_trajectories=12)
+    with refused_type(told):
+        held_out_verdict(**{"learner": learner().fit(logs), "logs": logs} | changed)
 
 
 def test_a_policy_in_place_of_a_learner_is_refused():

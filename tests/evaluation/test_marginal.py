@@ -58,6 +58,13 @@ def test_the_mean_by_state_is_the_loop(seed):
     np.testing.assert_allclose(regression.mean_by_state(weight, [states], is_fitted), wanted, rtol=1e-7, atol=1e-12)
 
 
+@pytest.mark.parametrize("unit", [1e-12, 1e9])
+def test_the_mean_by_state_has_no_unit(unit):
+    weight, states, is_fitted = rows(0)
+    whole = regression.mean_by_state(weight, [states], is_fitted)
+    np.testing.assert_allclose(regression.mean_by_state(weight, [unit * states], is_fitted), whole, rtol=1e-6)
+
+
 @pytest.mark.parametrize("num_places", [1, 5, 50])
 def test_few_places_stand_for_many_states(monkeypatch, num_places):
     monkeypatch.setattr(regression, "MOST_PLACES", num_places)
@@ -250,6 +257,20 @@ def test_where_states_tell_all_it_is_a_normal_deviate():
         found.append(history_deviate(residual, given.trajectories.is_begun, given.trajectories, given.beyond))
     assert np.mean(found) == pytest.approx(0.0, abs=0.25)
     assert np.std(found) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_clock_among_the_covariates_hides_no_other():
+    """What a state says of its stage is no history, in whatever unit the other covariates are."""
+    given = problem(trial(0, num_trajectories=300), TARGET, num_folds=5)
+    rng = np.random.default_rng(0)
+    kept, clock = np.repeat(rng.normal(size=(300, 1, 1)), 2, axis=1), rng.normal(size=(300, 2, 1))
+    residual, begun = kept[..., 0] + rng.normal(size=(300, 2)), given.trajectories.is_begun
+    plain, dated = (
+        history_deviate(residual, begun, given.trajectories, np.concatenate([kept, each], axis=2))
+        for each in (clock, 1.7e9 + 1e6 * clock)
+    )
+    assert abs(plain) < CLEARLY
+    assert dated == pytest.approx(plain, rel=1e-4, abs=1e-4)
 
 
 def test_the_statistic_is_its_definition_and_directions_without_scores_do_not_count():

@@ -315,7 +315,12 @@ def test_what_does_not_fit_is_told_in_one_line(policy, options, message):
     [
         ({"logs": pd.DataFrame({"trajectory": [0]})}, "logs is a DataFrame; give Logs, as read_logs returns"),
         ({"q": "linear"}, "q is 'linear'; give QSpec"),
-        ({"trust": "covariates"}, "trust is 'covariates'; give a list of some of probabilities, covariates, endings"),
+        ({"level": None}, "level is None; give a number above 0"),
+        ({"trust": 3}, "trust is 3; give a list of some of"),
+        (
+            {"trust": "covariates"},
+            "trust is 'covariates'; give a list of some of probabilities, covariates, endings",
+        ),
     ],
 )
 def test_arguments_of_another_type_are_refused_in_one_line(changed, message):

@@ -123,6 +123,20 @@ def test_what_cannot_be_is_refused_in_words(logs, changed, error, message):
     assert message in str(refusal.value)
 
 
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"actions": pd.Series(["A", "B"])}, "actions is a Series; give a list of names"),
+        ({"actions": [["A"], ["B"]]}, r"actions are \[\['A'\], \['B'\]\]; give a list of names, or one for each"),
+        ({"covariates": None}, "covariates is None; give a list of names"),
+        ({"half_life": [3]}, r"half_life is \[3\]; give a number of trajectories above 0"),
+    ],
+)
+def test_parameters_of_another_type_are_refused_in_one_line(logs, changed, told):
+    with refused_type(told):
+        learner(**changed).fit(logs)
+
+
 @pytest.mark.parametrize("value", [None, -1, 1.5, np.random.default_rng(0), np.random.RandomState(0)])
 def test_a_random_state_is_a_seed(logs, value):
     with pytest.raises(ArgumentError, match=r"random_state is .*; it is a seed, a whole number ≥ 0"):
@@ -143,6 +157,10 @@ def test_states_that_are_no_frame_are_refused(logs, states):
         (lambda: Weighted(by="stage", truncate_at=0.5), r"truncate_at is 0\.5; weights are at least 1"),
         (lambda: DoublyRobust("cox", covariates="clutter"), "covariates is 'clutter'; give a list of names"),
         (lambda: NamedActions(ACTIONS, "x"), "covariates is 'x'; give a list of names"),
+        (
+            lambda: NamedActions(ACTIONS, ["x", "elapsed_s"]),
+            "'elapsed_s', which is known only once the action is chosen",
+        ),
         (lambda: NamedActions(ACTIONS, ["x", "y", "x"]), "covariates names 'x' twice; name it once"),
         (lambda: KernelQ(gamma=-1), "gamma is -1; give a finite number > 0"),
         (lambda: KernelQ(num_landmarks=0), "num_landmarks is 0"),

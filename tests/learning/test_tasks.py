@@ -223,3 +223,4 @@ def test_a_stream_sees_what_memory_does(tmp_path, stages):
 def test_where_nobody_came_all_actions_stay():
     learner = CensoredQLearner.of_paper(3, ACTIONS, ["x"], censoring="none").fit(always_cut())
     assert learner.policy_.is_possible.tolist() == [[True, False], [True, True], [True, True]]
+    assert learner.unseen_[-1].startswith("no trajectory completed stage 2, 3, so no action has a value there")

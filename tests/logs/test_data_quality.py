@@ -151,6 +151,15 @@ def without_probability(tables):
         (reward_as_distance, "reward-as-covariate", "^all {completed} rewards equal distance: was the wrong column"),
         (lambda tables: tables["stages"].insert(0, "tool", tables["stages"]["action"]), "action-as-covariate",
          "^covariate tool is the action of its own stage in all {stages} stages, which nobody knew before: leave it"),
+        (stages("offset", -999.0, lambda rows: rows["trajectory"] == 7), "far-value",
+         r"^covariate offset is -999 in \d of {stages} rows, over 10 times as far from all others .* no value"),
+        (stages("distance", 1e6, lambda rows: 5), "far-value", r"^covariate distance is 1e\+06 in 1 of {stages} rows"),
+        (stages("reward", 1e5, lambda rows: 0), "far-value", r"^the reward is 100000 in 1 of {completed} rows, over"),
+        (lambda tables: tables["stages"].insert(
+            0, "view", np.where(tables["stages"]["elapsed_s"].isna(), "lost", tables["stages"]["stage"].astype(str))),
+         "never-completed", "^where view is lost, every stage was cut: what follows is unknown"),
+        (lambda tables: tables["stages"].insert(0, "is_lost", 1 * tables["stages"]["elapsed_s"].isna()),
+         "never-completed", "^where is_lost is 1, every stage was cut"),
         (stages("distance", 0.75, late), "stuck-sensor",
          "^covariate distance is 0.75 in 60 successive trajectories, from 60 to 119, and differs from each other one"),
         *(
@@ -180,6 +189,13 @@ def test_what_was_probably_not_meant_is_asked_about_and_nothing_else(tables, cha
     told = found(tables)
     assert set(told) == {kind}
     assert re.search(sentence.format(**counts), told[kind])
+
+
+def test_a_success_that_pays_far_more_than_a_step_is_no_far_value(tables):
+    rows = tables["stages"]
+    steps = np.where(rows["trajectory"] % 40 == 0, 1e6, -0.1 - 0.001 * rows["stage"])
+    tables["stages"] = rows.assign(reward=np.where(rows["elapsed_s"].isna(), np.nan, steps))
+    assert "far-value" not in found(tables)
 
 
 def test_a_value_that_stays_is_no_stuck_sensor_where_it_may(tables):

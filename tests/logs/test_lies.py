@@ -14,7 +14,13 @@ from halfseen.evaluation.targets import FixedSequence
 from halfseen.logs import Logs
 from halfseen.logs.data_quality import data_warnings
 from halfseen.logs.grouping import coded, grouped, grouped_covariates, rows_with
-from halfseen.logs.plausibility import chance_of_shorter, excess_p, imbalance_p, outcomes_among_covariates
+from halfseen.logs.plausibility import (
+    chance_of_shorter,
+    copied_trajectories,
+    excess_p,
+    imbalance_p,
+    outcomes_among_covariates,
+)
 from small_logs import log_of
 
 ACTIONS = ("vacuum", "fingers", "shake", "skip")
@@ -179,6 +185,29 @@ def test_the_number_of_a_row_is_no_covariate():
     assert "identifier" not in {
         each.kind for each in data_warnings(log_of(**seen, row=rng.permutation(960)[: 6 * num]))
     }
+
+
+def test_no_verdict_rests_on_copies_unless_they_are_trusted():
+    once = tables(500)
+    stages, trajectories = (
+        pd.concat([each, again.assign(trajectory=again["trajectory"] + 1000)])
+        for each, again in ((each, each[each["trajectory"] < 100]) for each in once)
+    )
+    told = evaluated(stages, trajectories)
+    assert told.verdict == "inconclusive"
+    assert " trajectories are copies of another" in told.reason
+    assert "--trust-trajectories" in told.reason
+    assert evaluated(stages, trajectories, trust=("trajectories",)).verdict == evaluated(*once).verdict == "better"
+    few = [each[each["trajectory"] < 1005] for each in (stages, trajectories)]
+    assert evaluated(*few).verdict == "better"
+
+
+def test_trajectories_of_a_coarse_clock_may_agree():
+    rng, num = np.random.default_rng(0), 4000
+    ticks = rng.integers(1, 9, (num, 2)).cumsum(axis=1)
+    seen = {"trajectory": np.repeat(range(num), 2), "stage": np.tile([1, 2], num), "elapsed_s": ticks.ravel() / 16.0}
+    logs = log_of(**seen, action=rng.choice(["A", "B"], 2 * num), reward=rng.integers(0, 2, 2 * num))
+    assert not any(copied_trajectories(logs))
 
 
 def test_no_verdict_rests_on_probabilities_that_nobody_had_unless_they_are_trusted():

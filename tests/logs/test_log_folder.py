@@ -14,7 +14,7 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, LogStream, compact, read_logs
 from halfseen.policies.folder import read_policy
-from refusals import refused
+from refusals import refused, refused_type
 from small_logs import flat_log, table_log
 from valid_logs import assert_same, small_tables
 
@@ -157,6 +157,13 @@ def test_what_a_store_refuses_is_told(error, store, monkeypatch):
     reason = str(error).splitlines()[0]
     with refused(rf"(^memory://fleet/flat: the store did not answer \(|cannot be read).*{reason}", LogError):
         read_logs(f"{store}/flat")
+
+
+@pytest.mark.parametrize("place", [3, None, flat_log()])
+def test_what_is_no_path_is_refused(place):
+    for read in (read_logs, LogStream, read_policy):
+        with refused_type(f"folder is a {type(place).__name__}; give the path of a folder"):
+            read(place)
 
 
 @pytest.mark.parametrize("name", ["e.csv", "e.jsonl.gz", "e.ndjson.gz"])

@@ -25,6 +25,7 @@ from halfseen.policies.folder.promised_parts import (
     expanded_as,
     moves,
     outcome_rows,
+    part_of,
     promised_parts,
     promised_states,
     residuals,
@@ -391,6 +392,17 @@ def test_what_is_kept_of_parts_is_least_squares_and_the_range_by_hand(stored):
     ends = {"trajectory": [0, 1, 2], "end_s": [2.0, 1.0, 1.0], "ending": "finished", "cause": None}
     two |= {"reward": [-0.1, 1.0, 0.5, -0.4]}
     assert promised_parts(Logs(pd.DataFrame(two), pd.DataFrame(ends)), None) == {"brings": [-0.4, 0.9]}
+
+
+def test_a_covariate_that_is_always_one_tenth_leaves_the_error_of_a_part_as_it_is():
+    """The mean of many 0.1 is not 0.1, so their deviation is rounding, and not 0."""
+    rng = np.random.default_rng(0)
+    x, values, found = rng.random((100, 1)), rng.random(100), []
+    for features in (x, np.column_stack([x, np.full(100, 0.1)])):
+        part = part_of("A", "reward", features, values)
+        at = np.append(1.0, expanded_as(part, features[:1]))
+        found.append((at @ part["coefficients"], at @ np.array(part["covariance"]) @ at))
+    np.testing.assert_allclose(found[1], found[0], rtol=0.05)
 
 
 def test_of_tables_only_what_is_earned_and_cuts_are_watched(tmp_path):

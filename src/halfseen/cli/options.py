@@ -222,11 +222,14 @@ class _Trusted(NamedTuple):
         outcome.
     trust_endings
         State that the endings of the log are true ends, although they look like cuts.
+    trust_trajectories
+        State that no trajectory of the log is a copy of another, although they agree to the last digit.
     """
 
     trust_probabilities: bool = False
     trust_covariates: bool = False
     trust_endings: bool = False
+    trust_trajectories: bool = False
 
 
 class _WorkerOptions(NamedTuple):

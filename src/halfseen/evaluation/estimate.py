@@ -9,6 +9,7 @@ So an estimate outside is moved to the nearer end, and intervals are clipped to 
 """
 
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -148,8 +149,8 @@ def _quantile(level: float, shift: float, freedom: float) -> float:
 
 def check_level(level: float) -> None:
     """Refuse a level that is not positive, or above `LARGEST_LEVEL`."""
-    if not 0.0 < level <= LARGEST_LEVEL:
-        raise ArgumentError(f"level is {level}; give a number above 0 and at most {LARGEST_LEVEL}")
+    if not isinstance(level, Real) or not 0.0 < level <= LARGEST_LEVEL:
+        raise ArgumentError(f"level is {level!r}; give a number above 0 and at most {LARGEST_LEVEL}")
 
 
 class Possible(NamedTuple):

@@ -28,12 +28,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
-from halfseen.estimator import check_fitted
+from halfseen.estimator import check_fitted, is_count
 from halfseen.evaluation.comparison import Contender
-from halfseen.evaluation.estimate import Estimate
+from halfseen.evaluation.estimate import Estimate, check_level
 from halfseen.evaluation.evaluation import Evaluation, claim_of, guess_of
 from halfseen.evaluation.exploring import NOWHERE, Exploration, exploration_of
-from halfseen.evaluation.off_policy import judging
+from halfseen.evaluation.off_policy import doubt_of, judging
 from halfseen.evaluation.specification import specification
 from halfseen.evaluation.tabular import gain_of
 from halfseen.evaluation.targets import LOGGING, CrossFitted
@@ -233,15 +233,18 @@ def held_out_verdict(
     Raises
     ------
     ArgumentError
-        `learner` is not a `CensoredQLearner`, or there are fewer than 2 folds.
+        `learner` is not a `CensoredQLearner`, `logs` are not `Logs`, there are fewer than 2 folds, or `level` is none.
     """
     if not isinstance(learner, CensoredQLearner):
         raise ArgumentError(
             f"learner is a {type(learner).__name__}; give a CensoredQLearner that was fitted to the log"
         )
     check_fitted(learner, "policy_")
-    if num_folds < 2:
-        raise ArgumentError(f"num_folds is {num_folds}; give at least 2")
+    if not isinstance(logs, Logs):
+        raise ArgumentError(f"logs is a {type(logs).__name__}; give Logs, as read_logs returns")
+    if not is_count(num_folds) or num_folds < 2:
+        raise ArgumentError(f"num_folds is {num_folds!r}; give a whole number of at least 2")
+    check_level(level)
     try:
         with warnings.catch_warnings():
             # Problems in a part of the log are also in the whole log, for which the warning was issued.
@@ -255,7 +258,8 @@ def held_out_verdict(
                 if against not in (None, LOGGING):
                     raise ArgumentError("a tabular policy is compared only with the logging policy; leave against out")
                 gain = gain_of(policy, learner.model_, present, float(learner.q_functions_.reg[-1, 0]), level)
-                found = HeldOutVerdict(*gain.verdict(level), num_folds)
+                doubt = doubt_of(present, learner.model_.task, False, trust)
+                found = HeldOutVerdict(*(gain.verdict(level) if doubt is None else ("inconclusive", doubt)), num_folds)
             else:
                 found = _judged(policy, learner, present, num_folds, against, level, trust, workers)
     except HalfseenError as error:

@@ -43,6 +43,7 @@ import numpy as np
 
 from halfseen.evaluation.weights import StageWeights, uncut_before
 from halfseen.learning.covariates import Categories, Covariates, fit_covariates, learned_categories
+from halfseen.learning.q_space import LEAST_RANGE
 from halfseen.learning.rows import TrajectoryArrays, stage_places
 from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float, Int
@@ -102,7 +103,7 @@ def mean_by_state(
 def standardised(states: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "m G"]:
     """Covariates that vary, with mean 0 and standard deviation 1."""
     spread = states.std(axis=0)
-    differs = spread > 1e-9 * np.maximum(1.0, np.abs(states).max(axis=0, initial=0.0))
+    differs = spread > LEAST_RANGE * np.abs(states).max(axis=0, initial=0.0)
     return (states[:, differs] - states[:, differs].mean(axis=0)) / spread[differs]
 
 
@@ -172,7 +173,7 @@ def history_deviate(
         return -np.inf
     now, taken = before + 1, np.eye(trajectories.is_possible.shape[-1])
     states = np.concatenate([trajectories.features[:, :, 0], beyond], axis=2)
-    known = _known(states[trajectory, now], taken[trajectories.action[trajectory, now]])
+    known = _known(standardised(states[trajectory, now]), taken[trajectories.action[trajectory, now]])
     history = np.column_stack(
         [
             taken[trajectories.action[trajectory, before]][:, 1:],

@@ -1,8 +1,8 @@
 """From a policy and a log to an `Evaluation`.
 
-A log may be implausible: impossible probabilities, covariates recorded after the action, or cuts labelled as ends. An
-estimate from it is biased however narrow its interval is. So the verdict is inconclusive, unless the caller declares
-the log trustworthy in this respect.
+A log may be implausible: impossible probabilities, covariates recorded after the action, cuts labelled as ends, or
+copies. An estimate from it is biased, or its interval too narrow. So the verdict is inconclusive, unless the caller
+declares the log trustworthy in this respect.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -37,11 +37,18 @@ from halfseen.learning.judging import FittedValues
 from halfseen.learning.targets import Targets, targets_of
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
-from halfseen.logs.plausibility import cuts_called_finished, leaks, outcomes_among_covariates, untrue_probabilities
+from halfseen.logs.plausibility import (
+    MANY_COPIES,
+    copied_trajectories,
+    cuts_called_finished,
+    leaks,
+    outcomes_among_covariates,
+    untrue_probabilities,
+)
 from halfseen.workers import ALONE, Workers
 from halfseen.workers.threads import in_one_thread
 
-PROBABILITIES, COVARIATES, ENDINGS = TRUST = ("probabilities", "covariates", "endings")
+PROBABILITIES, COVARIATES, ENDINGS, TRAJECTORIES = TRUST = ("probabilities", "covariates", "endings", "trajectories")
 """Aspects in which a log may be trusted."""
 
 
@@ -59,7 +66,8 @@ def doubt_of(logs: Logs, task: Task, has_probability: bool, trust: Collection[st
     trust
         Subset of `TRUST`: checks to omit.
     """
-    unknown = [trust] if isinstance(trust, str) else [name for name in trust if name not in TRUST]
+    is_list = isinstance(trust, Collection) and not isinstance(trust, str)
+    unknown = [name for name in trust if name not in TRUST] if is_list else [trust]
     if unknown:
         raise ArgumentError(f"trust is {unknown[0]!r}; give a list of some of {', '.join(TRUST)}")
     looked_at = getattr(task, "covariates", ())
@@ -67,6 +75,7 @@ def doubt_of(logs: Logs, task: Task, has_probability: bool, trust: Collection[st
         PROBABILITIES: (untrue_probabilities(logs) if has_probability else ()),
         COVARIATES: (*(leaks(logs, looked_at) if has_probability else ()), *outcomes_among_covariates(logs, looked_at)),
         ENDINGS: cuts_called_finished(logs),
+        TRAJECTORIES: copied_trajectories(logs, MANY_COPIES),
     }
     for name, found in checks.items():
         first = next(iter(found), None) if name not in trust else None

@@ -4,7 +4,7 @@ By default the four models of a doubly robust value are linear in the covariates
 that each of them can be nonlinear, and stages can share one Q.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from math import comb
@@ -150,25 +150,27 @@ def with_second_order(task: NamedActions, logs: Logs) -> tuple[NamedActions, Log
     terms = _terms(fitted.looks_at, logs.stages) if has_few else {}
     if len(terms) * TRAJECTORIES_PER_TERM > logs.num_trajectories:
         terms = {}
-    centred = _centred(fitted.looks_at, logs.stages)
-    instead = dict(
-        zip(centred, _free([f"{name} less its mean" for name in centred], [*logs.stages, *terms]), strict=True)
-    )
-    named = dict(zip(_free(list(terms), [*logs.stages, *instead.values()]), terms.values(), strict=True))
+    stages = logs.stages.copy()
+    # A column of the log keeps its name, because a policy may look at it.
+    instead = {}
+    for name, values in _centred(fitted.looks_at, logs.stages).items():
+        instead[name] = _free(f"{name} less its mean", [*stages, *terms])
+        stages[instead[name]] = values
     own = [instead.get(name, name) for name in task.covariates]
+    named = []
+    for name, values in terms.items():
+        named.append(_free(name, stages))
+        stages[named[-1]] = values
     wider = NamedActions(task.actions, list(dict.fromkeys([*own, "stage", *named])), fitted.categories)
-    stages = logs.stages.assign(**named, **{instead[name]: values for name, values in centred.items()})
     return wider, Logs(stages, logs.trajectories, logs.objects, reward_unit=logs.reward_unit)
 
 
-def _free(names: list[str], taken: list[str]) -> list[str]:
-    """Names that no column has, because a policy may look at that column."""
-    found: list[str] = []
-    for name in names:
-        while name in taken or name in found:
-            name += "'"
-        found.append(name)
-    return found
+def _free(name: str, taken: Iterable[str]) -> str:
+    """The name with as many primes as it takes that none is like it."""
+    taken = set(taken)
+    while name in taken:
+        name += "'"
+    return name
 
 
 FAR = 1e4
@@ -190,7 +192,7 @@ def _terms(looks_at: Covariates, frame: pd.DataFrame) -> dict[str, np.ndarray]:
     """Products of standardised covariates; the square of a binary one is omitted as redundant."""
     scaled = {}
     for name, values in zip(looks_at.names, looks_at.encode(frame).T, strict=True):
-        if name != "stage":
+        if name != "stage" and np.ptp(values) > 0.0:
             scaled[name] = (values - values.mean()) / (values.std() or 1.0)
     pairs = combinations_with_replacement(scaled, 2)
     wanted = [(a, b) for a, b in pairs if a != b or len(np.unique(scaled[a])) > 2]

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from halfseen.arrays import library_of
+from halfseen.learning.q_space import LEAST_RANGE
 from halfseen.shapes import Bool, Float, Int
 
 Thetas = Float[np.ndarray, "K p"]
@@ -135,9 +136,9 @@ def fit_choice(
 
 
 def mean_and_scale(features: Float[np.ndarray, "rows F"]) -> tuple[Float[np.ndarray, " F"], Float[np.ndarray, " F"]]:
-    """Mean and standard deviation of each feature; 1 instead of a deviation of 0, or of rounding in the mean."""
+    """Mean and standard deviation of each feature; 1 instead of a deviation of 0, or of rounding alone."""
     mean, spread = features.mean(axis=0), features.std(axis=0)
-    return mean, np.where((spread > 0) & (features != features[:1]).any(axis=0), spread, 1.0)
+    return mean, np.where(spread > LEAST_RANGE * np.abs(mean), spread, 1.0)
 
 
 def unscaled(

@@ -21,6 +21,9 @@ from halfseen.shapes import Bool, Float, Int
 MOST_MEMORY = 8e9
 """Limit for the features of all stages and actions of a log [bytes]."""
 
+KNOWN_LATER = ("elapsed_s", "reward", "probability")
+"""Columns of the stages that no policy can use."""
+
 Actions = Sequence[Hashable] | Mapping[int, Sequence[Hashable]]
 
 
@@ -56,13 +59,20 @@ class NamedActions:
     def __post_init__(self) -> None:
         if isinstance(self.actions, str):
             raise ArgumentError(f"actions is {self.actions!r}; give a list of names, or one for each stage")
-        if isinstance(self.covariates, str):
+        if isinstance(self.covariates, str) or not isinstance(self.covariates, Iterable):
             raise ArgumentError(f"covariates is {self.covariates!r}; give a list of names")
         twice = [name for name, count in Counter(self.covariates).items() if count > 1]
         if twice:
             raise ArgumentError(f"covariates names {twice[0]!r} twice; name it once")
+        late = [name for name in self.covariates if name in KNOWN_LATER]
+        if late:
+            raise ArgumentError(
+                f"covariates names {late[0]!r}, which is known only once the action is chosen; leave it out"
+            )
         lists = self.actions if isinstance(self.actions, Mapping) else {None: self.actions}
         for stage, names in lists.items():
+            if not all(isinstance(name, Hashable) for name in names):
+                raise ArgumentError(f"actions are {list(names)}; give a list of names, or one for each stage")
             if len(names) == 0 or len(set(names)) < len(names):
                 where = "actions" if stage is None else f"actions of stage {stage}"
                 raise ArgumentError(f"{where} are {list(names)}; name at least one, and none twice")
@@ -197,17 +207,20 @@ class NamedActions:
                 f"{type(policy).__name__} does not decide about named actions; give a policy with actions, horizon and "
                 "probabilities, such as a learner's policy_"
             )
-        unknown = [name for name in policy.actions if name not in self.names]
-        if unknown:
-            listed = ", ".join(map(repr, self.names)) + did_you_mean(unknown[0], self.names)
-            raise ArgumentError(f"the policy takes {unknown[0]!r}, which is not an action of the task: {listed}")
-        column = [self.names.index(name) for name in policy.actions]
+        is_known = np.array([name in self.names for name in policy.actions], dtype=bool)
+        column = [self.names.index(name) for name in policy.actions if name in self.names]
         trajectory, _ = stage_places(logs)
         probabilities = np.zeros((logs.num_trajectories, horizon, len(self.names)))
         for stage in range(1, logs.horizon + 1):
             rows = (logs.stages["stage"] == stage).to_numpy()
             frame: Any = logs.stages[rows]
-            probabilities[trajectory[rows][:, None], stage - 1, column] = checked_probabilities(policy, frame, stage)
+            given = checked_probabilities(policy, frame, stage)
+            # An action that no log has may be named as long as it is not taken.
+            for k in np.flatnonzero(~is_known & (given > 0).any(axis=0)).tolist():
+                unknown = policy.actions[k]
+                listed = ", ".join(map(repr, self.names)) + did_you_mean(unknown, self.names)
+                raise ArgumentError(f"the policy takes {unknown!r}, which is not an action of the task: {listed}")
+            probabilities[trajectory[rows][:, None], stage - 1, column] = given[:, is_known]
         return probabilities
 
     def _refuse_too_large(self, shape: tuple[int, int, int]) -> None:

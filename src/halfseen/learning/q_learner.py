@@ -319,16 +319,16 @@ class CensoredQLearner(Estimator):
 
     @property
     def unseen_(self) -> list[str]:
-        """One sentence for each action that was never completed in the log, so that the policy never takes it."""
+        """One sentence for each action that was never completed in the log, and for stages that none was."""
         check_fitted(self, "model_")
         assert self.model_.support is not None
         return unseen_in_words(self.model_.support, self.model_.task.block_names, self.model_.stages)
 
     def _task(self) -> Task:
         if isinstance(self.actions, type) or not isinstance(self.actions, (Sequence, Mapping, Task)):
-            raise ArgumentError(
-                f"actions is {self.actions!r}; give a list of names, one for each stage, or an object that is a Task"
-            )
+            what = f"a {type(self.actions).__name__}" if hasattr(self.actions, "dtype") else repr(self.actions)
+            names = "give a list of names, one for each stage"
+            raise ArgumentError(f"actions is {what}; {names}, or an object that is a Task")
         if not isinstance(self.actions, Task):
             return NamedActions(self.actions, self.covariates)
         if len(self.covariates):

@@ -18,6 +18,9 @@ from halfseen.errors import ArgumentError
 from halfseen.learning.svm.nystrom import fit_nystrom
 from halfseen.shapes import Float
 
+LEAST_RANGE = 1e-12
+"""Relative to their mean; values that differ by less differ by rounding alone."""
+
 
 class KernelMap(NamedTuple):
     """ψ(x) = (c · q(z), Rᵀ k(landmarks, z)) with z = (x − centre)/scale and q(z) all z_i and z_i z_j."""
@@ -95,7 +98,7 @@ def fit_kernel_map(
         of 1; None for no trend. So the more products there are, the less each counts.
     """
     centre, spread = rows.mean(axis=0), rows.std(axis=0)
-    scale = np.where(spread > 1e-9 * np.maximum(np.abs(centre), 1e-9), spread, np.inf)
+    scale = np.where(spread > LEAST_RANGE * np.abs(centre), spread, np.inf)
     num_varied = max(int(np.isfinite(scale).sum()), 1)
     width = 1.0 / num_varied if gamma is None else float(gamma)
     scaled = (rows - centre) / scale
@@ -289,6 +292,6 @@ def half_life_of(value: float | int | str | None) -> float | str | None:
     """Parse a user's half-life [trajectories]; refuse an invalid one."""
     if value is None or value == "auto":
         return value
-    if isinstance(value, str | bool) or not 0 < value < np.inf:
+    if not (_is_number(value) and float(value) > 0.0):
         raise ArgumentError(f"half_life is {value!r}; give a number of trajectories above 0, 'auto' or None")
     return float(value)

@@ -15,7 +15,7 @@ from halfseen.arrays import library_of, mapped
 from halfseen.censoring import StageClocks
 from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.lazy import Frame
-from halfseen.learning.q_space import StageMode
+from halfseen.learning.q_space import LEAST_RANGE, StageMode
 from halfseen.learning.task import Encoded
 from halfseen.logs.checks import LARGEST
 from halfseen.shapes import Bool, Float, Int
@@ -219,7 +219,7 @@ def support_of(trajectories: TrajectoryArrays, kinds: Int[np.ndarray, " A"], num
 
 
 def unseen_in_words(support: Support, names: tuple[str, ...], stages: StageMode) -> list[str]:
-    """Describe each kind that was possible but never completed: in which stages, and how often it began."""
+    """Describe each kind that was possible but never completed, where and how often it began; and empty stages."""
     reached: Bool[np.ndarray, "T 1"] = np.any(support.num_completed > 0, axis=1, keepdims=True)
     lacking = support.is_allowed & ~support.is_seen(stages) & reached
     findings = []
@@ -231,6 +231,12 @@ def unseen_in_words(support: Support, names: tuple[str, ...], stages: StageMode)
         findings.append(
             f"{names[kind]} was never completed{where} ({cut}), so its value is unknown and the policy never "
             "takes it there; to learn it, log it uniformly at random now and then"
+        )
+    empty = [str(row + 1) for row in np.flatnonzero(~reached)] if stages == "separate" else []
+    if empty:
+        findings.append(
+            f"no trajectory completed stage {', '.join(empty)}, so no action has a value there, and the policy takes "
+            "the first; lower the horizon, or pool the stages"
         )
     return findings
 
@@ -263,9 +269,8 @@ def refuse_vanishing(reward: Float[np.ndarray, " m"]) -> None:
         )
 
 
-LARGEST_MEAN, LEAST_RANGE = 3e5, 1e-12
-"""Mean in standard deviations from which on the sums of a linear Q lose a feature (`ridge.RANK_TOLERANCE`); and range
-relative to the mean below which values differ by rounding alone."""
+LARGEST_MEAN = 3e5
+"""Mean in standard deviations from which on the sums of a linear Q lose a feature (`ridge.RANK_TOLERANCE`)."""
 
 
 def is_far(values: Float[np.ndarray, " m"], most: float | int = LARGEST_MEAN) -> bool:

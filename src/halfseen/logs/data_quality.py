@@ -13,25 +13,23 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import pandas as pd
-from pandas.util import hash_pandas_object
 
 from halfseen.arrays import Rows
 from halfseen.logs.columns import shown
-from halfseen.logs.copied_columns import actions_as_covariates, is_copy_of, rewards_as_covariates, stuck_sensors
-from halfseen.logs.grouping import (
-    can_be_counted,
-    coded,
-    covariate_columns,
-    grouped_covariates,
-    is_number,
-    is_one_kind,
-    rows_with,
+from halfseen.logs.copied_columns import (
+    actions_as_covariates,
+    constant_covariates,
+    far_values,
+    is_copy_of,
+    rewards_as_covariates,
+    stuck_sensors,
 )
+from halfseen.logs.grouping import can_be_counted, coded, covariate_columns, grouped_covariates, is_number, rows_with
 from halfseen.logs.logs import Logs
 from halfseen.logs.mixed_units import clocks_of_robots, long_clocks, mixed_clocks, mixed_covariates, short_clocks
 from halfseen.logs.plausibility import (
     MOST_EXPLAINED,
+    copied_trajectories,
     cuts_called_finished,
     leaks,
     outcomes_among_covariates,
@@ -41,7 +39,7 @@ from halfseen.suggestions import alike, spelled_out
 
 FEWEST_ROWS, FEWEST_CUTS, FEWEST_TRAJECTORIES = 10, 5, 30
 FEWEST_IN_STATE, FEWEST_STAGES, RARE_SHARE = 50, 200, 0.01
-SAME_END, NEARLY_ALL, NUM_NAMED, MOST_SPELLINGS = 0.01, 0.99, 3, 1000
+SAME_END, NEARLY_ALL, NUM_NAMED, MOST_SPELLINGS, MOST_COUNTED = 0.01, 0.99, 3, 1000, 20
 AS_NUMBER = r"[+-]?(?:\d{1,3}(?:[.,'\u2019 ]\d{3})+(?:[.,]\d+)?|\d*[.,]\d+)"
 """A fraction, or a number with thousands separators."""
 READ_AS_MISSING = {"nan", "<na>", "null", "n/a", "#n/a", "#nv", "nat"}
@@ -238,6 +236,21 @@ def _rare_actions(logs: Logs) -> Iterator[str]:
         yield f"{_were('action', rare)} taken in less than 1 % of {total} stages: too few to learn from"
 
 
+def _never_completed(logs: Logs) -> Iterator[str]:
+    """Find categories, and one of two numbers, that only stages show in which a trajectory was cut."""
+    is_done = logs.stages["elapsed_s"].notna()
+    for name in logs.stage_covariates:
+        values: Any = logs.stages[name]
+        if not can_be_counted(values):
+            continue
+        known, lost = (set(values[rows].dropna().unique()) for rows in (is_done, ~is_done))
+        if lost - known and len(lost | known) <= (2 if is_number(values) else MOST_COUNTED):
+            yield (
+                f"where {name} is {_listed(sorted(map(str, lost - known)))}, every stage was cut: what follows is "
+                "unknown, and what a policy does there is a guess"
+            )
+
+
 def _no_probability(logs: Logs) -> Iterator[str]:
     """Warn only if there were several actions to choose from."""
     actions = logs.stages["action"].dropna()
@@ -260,41 +273,6 @@ def _equal_rewards(logs: Logs) -> Iterator[str]:
     rewards = logs.stages["reward"].dropna()
     if len(rewards) >= FEWEST_ROWS and rewards.nunique() == 1:
         yield f"all {len(rewards)} rewards are {rewards.iloc[0]:g}: no action is better than another"
-
-
-def _constant_covariates(logs: Logs) -> Iterator[str]:
-    for name, values, _ in covariate_columns(logs):
-        if len(values) < FEWEST_ROWS or not can_be_counted(values) or not is_one_kind(values):
-            continue
-        # A count that is always 0 is not a dead sensor.
-        if not (pd.api.types.is_integer_dtype(values.dtype) and values.iloc[0] == 0):
-            yield (
-                f"{name} is {shown(values.iloc[0])} in all {len(values)} rows: a dead sensor, or a column to leave out"
-            )
-
-
-def _duplicates(logs: Logs) -> Iterator[str]:
-    """Find copies: trajectories that agree to the last digit in two fractional durations. Whole numbers may agree."""
-    stages: Any = logs.stages
-    content = stages[["stage", "elapsed_s", "action", "reward"]].astype({"action": str})
-    prints: Any = hash_pandas_object(content, index=False)  # pyright: ignore[reportCallIssue]
-    first_row = np.flatnonzero(stages["stage"].to_numpy() == 1)
-    prints = pd.Series(np.add.reduceat(prints.to_numpy(), first_row), index=logs.trajectory_ids)
-    prints = prints[prints.duplicated(keep=False)]
-    if len(prints):
-        rows = stages["trajectory"].isin(prints.index).to_numpy()
-        part = (pd.Series(logs.durations_s()[rows]) % 1.0).round(6) % 1.0
-        num_measured = part.where(part > 0).groupby(stages["trajectory"].to_numpy()[rows]).nunique()
-        prints = prints[(num_measured >= 2).reindex(prints.index).to_numpy()]
-    repeated = prints[prints.duplicated(keep=False)]
-    if len(repeated):
-        first = [shown(name) for name in repeated.index[repeated == repeated.iloc[0]][:2]]
-        num_copies = int(prints.duplicated().sum())
-        yield (
-            f"{num_copies} {'trajectory is a copy' if num_copies == 1 else 'trajectories are copies'} of another (such "
-            f"as {' and '.join(first)}): the same clock, actions and rewards to the last digit; drop what was logged "
-            "twice"
-        )
 
 
 def _texts(values: Any) -> Any:
@@ -337,10 +315,12 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "reward-as-covariate": rewards_as_covariates,
     "spelling": _spelling,
     "rare-action": _rare_actions,
+    "never-completed": _never_completed,
     "no-probability": _no_probability,
     "no-exploration": _no_exploration,
     "equal-rewards": _equal_rewards,
-    "constant-covariate": _constant_covariates,
+    "constant-covariate": constant_covariates,
     "stuck-sensor": stuck_sensors,
-    "duplicated-trajectories": _duplicates,
+    "far-value": far_values,
+    "duplicated-trajectories": copied_trajectories,
 }

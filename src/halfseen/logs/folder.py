@@ -23,7 +23,7 @@ import pyarrow as pa
 import pyarrow.compute
 import pyarrow.parquet as pq
 
-from halfseen.errors import HalfseenError, LogError, within
+from halfseen.errors import ArgumentError, HalfseenError, LogError, within
 from halfseen.logs.checks import checked_unit
 from halfseen.logs.columns import converting
 from halfseen.logs.frames import frame_of
@@ -42,9 +42,13 @@ def place_of(address: str | Path | Place) -> Place:
 
     Raises
     ------
+    ArgumentError
+        It is no path.
     LogError
         The kind of store is unknown, or the library that opens it is not installed.
     """
+    if not isinstance(address, str) and not hasattr(address, "is_dir"):
+        raise ArgumentError(f"folder is a {type(address).__name__}; give the path of a folder")
     if not isinstance(address, str) or not is_remote(address):
         return address if not isinstance(address, str) else Path(address)
     # Only stores need this library.

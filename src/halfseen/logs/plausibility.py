@@ -18,6 +18,9 @@ The end of a task has a visible cause: the action that ends it, its reward, or t
 action with the same reward are sometimes last and sometimes not, nothing recorded distinguishes them; and if only last
 stages have reward 0, that 0 may represent an unobserved reward. If such last stages are also clearly shorter,
 something stopped them.
+
+Trajectories that agree in a clock of fine resolution and in every reward are one that was logged twice; counted as
+several, they make an interval too narrow, and what was learned from one copy is judged by another.
 """
 
 from collections.abc import Collection, Iterator
@@ -26,8 +29,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from pandas.util import hash_pandas_object
 
 from halfseen.arrays import RowIds, RowMask, Rows
+from halfseen.logs.columns import shown
 from halfseen.logs.grouping import Grouped, coded, grouped_covariates, rows_with
 from halfseen.logs.logs import Logs
 from halfseen.shapes import Float
@@ -42,6 +47,9 @@ MOST_EXPLAINED, UNTESTED = 0.5, 0.8
 be tested. Logs of our worlds stay below .3."""
 IMBALANCE_LEVEL = 0.01
 FEWEST_ENDS, ENDS_LEVEL = 10, 1e-4
+MANY_COPIES, FINE = 0.05, 0.5
+"""Share of trajectories that are copies from which on a verdict is doubted; and least share of the durations of the
+others that are distinct, for a clock so fine that trajectories do not agree by chance."""
 COMMON = 0.2
 """Actions with a smaller mean of p do not test covariates for dependence on them: their 1/p is too heavy-tailed."""
 
@@ -296,3 +304,37 @@ def chance_of_shorter(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " m
     above = ranks[:n].sum() - n * (n + 1) / 2.0
     spread = np.sqrt(n * m / 12.0 * (n + m + 1.0 - float((ties**3 - ties).sum()) / ((n + m) * (n + m - 1.0))))
     return NormalDist().cdf((above - n * m / 2.0 + 0.5) / spread) if spread > 0.0 else 1.0
+
+
+def copied_trajectories(logs: Logs, more_than: float = 0.0) -> Iterator[str]:
+    """Find copies: trajectories that agree to the last digit in two fractional durations. Whole numbers may agree.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    more_than
+        Share of trajectories that must be copies.
+    """
+    stages: Any = logs.stages
+    content = stages[["stage", "elapsed_s", "action", "reward"]].astype({"action": str})
+    prints: Any = hash_pandas_object(content, index=False)  # pyright: ignore[reportCallIssue]
+    first_row = np.flatnonzero(stages["stage"].to_numpy() == 1)
+    prints = pd.Series(np.add.reduceat(prints.to_numpy(), first_row), index=logs.trajectory_ids)
+    again = prints.index[prints.duplicated()]
+    if not len(again):
+        return
+    lasted_s: Any = pd.Series(logs.durations_s()).round(6)
+    trajectory = stages["trajectory"]
+    once = lasted_s[~trajectory.isin(again).to_numpy()].dropna()
+    part = (lasted_s % 1.0).round(6) % 1.0
+    num_measured = part.where(part > 0).groupby(trajectory.to_numpy()).nunique()
+    prints = prints[(num_measured >= 2).reindex(prints.index).to_numpy()]
+    repeated, num_copies = prints[prints.duplicated(keep=False)], int(prints.duplicated().sum())
+    if num_copies and num_copies > more_than * logs.num_trajectories and once.nunique() >= FINE * len(once):
+        first = [shown(name) for name in repeated.index[repeated == repeated.iloc[0]][:2]]
+        yield (
+            f"{num_copies} {'trajectory is a copy' if num_copies == 1 else 'trajectories are copies'} of another (such "
+            f"as {' and '.join(first)}): the same clock, actions and rewards to the last digit; drop what was logged "
+            "twice"
+        )

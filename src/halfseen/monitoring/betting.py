@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
+from halfseen.learning.behaviour import mean_and_scale
 from halfseen.shapes import Float, Int
 
 FROM_FIRST = 0.2
@@ -243,8 +244,8 @@ def _pairs(num: int, num_reference: int, coins: Float[np.ndarray, " n"]) -> list
 
 
 def _features(states: np.ndarray, scale_of: np.ndarray) -> Float[np.ndarray, "m P"]:
-    spread = scale_of.std(axis=0)
-    scaled = np.clip((states - scale_of.mean(axis=0)) / np.where(spread > 0, spread, 1.0), -LARGEST, LARGEST)
+    mean, spread = mean_and_scale(scale_of)
+    scaled = np.clip((states - mean) / spread, -LARGEST, LARGEST)
     one, other = np.triu_indices(states.shape[1])
     return np.concatenate([scaled, scaled[:, one] * scaled[:, other]], axis=1)
 

@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.censoring import KaplanMeier
+from halfseen.learning.behaviour import mean_and_scale
 from halfseen.shapes import Bool, Float, Int
 
 FEWEST_OF_EITHER = 2
@@ -189,8 +190,7 @@ def _columns(courses: Courses) -> Float[np.ndarray, "m G1"]:
 
 def _learned(past: Courses) -> _Learned:
     columns, totals = _columns(past), past.totals()
-    spread = columns.std(axis=0)
-    centre, spread = columns.mean(axis=0), np.where(spread > 0, spread, 1.0)
+    centre, spread = mean_and_scale(columns)
     survivals = [_survival(past, arm) for arm in (False, True)]
     features = np.column_stack([np.ones(len(columns)), (columns - centre) / spread])
     after = np.where(_goes_on(past)[:, None], np.roll(features, -1, axis=0), 0.0)

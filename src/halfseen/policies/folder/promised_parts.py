@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from halfseen.learning.behaviour import mean_and_scale
 from halfseen.learning.covariates import Covariates
 from halfseen.learning.discrete_policy import NamedActionPolicy
 from halfseen.learning.rows import stage_places
@@ -158,8 +159,8 @@ def part_of(
 ) -> dict[str, Any]:
     """Describe a part: regress values on features, and keep the distribution of the `residuals`."""
     features = expanded(features, len(features) // STATES_PER_TERM)
-    mean, spread = features.mean(axis=0), features.std(axis=0)
-    scale = 1.0 / np.where(spread > 0, spread, 1.0)
+    mean, spread = mean_and_scale(features)
+    scale = 1.0 / spread
     scaled = (features - mean) * scale
     inverse = np.linalg.inv(scaled.T @ scaled + RIDGE * np.eye(scaled.shape[1])) * np.outer(scale, scale)
     slope = inverse @ ((features - mean).T @ (values - values.mean()))

@@ -176,6 +176,8 @@ def read_policy(folder: str | Path) -> StoredPolicy:
     PolicyError
         A file is missing, a byte has changed, the version is unknown, or the numbers do not fit the schema.
     """
+    if not isinstance(folder, str | Path):
+        raise ArgumentError(f"folder is a {type(folder).__name__}; give the path of a folder")
     folder = Path(folder)
     text, numbers = read_files(folder)
     with within(folder / RECORD):
