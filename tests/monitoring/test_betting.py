@@ -87,6 +87,13 @@ def test_a_change_is_found_where_it_is_and_against_a_reference_from_the_first_on
     assert change_point(sparse).at == 80
 
 
+def test_a_larger_change_after_the_alarm_is_not_what_the_alarm_was_about():
+    values = np.repeat([0.0, 1.0, 9.0], 40) + 0.1 * np.random.default_rng(0).normal(size=120)
+    assert change_point(values).at == 80
+    found = change_point(values, latest=50)
+    assert (found.at, found.high <= 50) == (40, True)
+
+
 @pytest.mark.slow
 def test_the_interval_of_a_change_holds_it_as_often_as_said():
     rng, num = np.random.default_rng(3), 400

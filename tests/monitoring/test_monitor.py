@@ -95,6 +95,14 @@ def test_a_part_that_broke_is_named_and_since_when(stored):
     assert not any("swapped" in each for each in found.causes)
 
 
+def test_no_change_lies_after_its_alarm(stored):
+    logs = cell(400, 1, (0.6, 0.0), stored.policy)
+    x = logs.stages["x"] + np.where(logs.stages["trajectory"] < 250, 0.15, 9.0)
+    found = monitored(stored, Logs(logs.stages.assign(x=x), logs.trajectories)).findings
+    assert {each.family for each in found} == {"rewards", "inputs", "parts"}
+    assert all(1 <= each.since_low <= each.since <= each.since_high <= each.alarm_at for each in found)
+
+
 def test_a_clock_in_milliseconds_is_told_from_a_slow_cell(stored):
     logs = cell(200, 1, policy=stored.policy)
     stages = logs.stages.assign(elapsed_s=logs.stages["elapsed_s"] * 1000.0)

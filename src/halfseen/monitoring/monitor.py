@@ -335,16 +335,16 @@ def _findings(family: str, p: Float[np.ndarray, "n F"], bets: Bets, promise: Any
         at = betting.first_rejected(p, alpha, k)
         if k < len(streams):
             against_log = family == "promise" or (family == "parts" and k > len(promise.get("parts", ())))
-            change, name = (differs_at if against_log else moved_at)(streams[k]), streams[k].name
+            change, name = (differs_at if against_log else moved_at)(streams[k], at), streams[k].name
             if family == "inputs" and streams[k].kind == "swap":
                 words = swapped_or_changed(streams[k].about, promise, bets.logs, change.at)
                 name = name if SWAPPED in words else "all covariates"
             else:
                 words = (differs if against_log else moved)(streams[k], change.at)
         elif family == "promise" and outcomes is not None:
-            change, name, words = earns_less_at(outcomes, promise["value"]), "promise", "it earns less than promised"
+            change = earns_less_at(outcomes, promise["value"], at)
+            name, words = "promise", "it earns less than promised"
         else:
             change, name, words = ChangePoint(0, 0, at), "all covariates", CHANGED_TOGETHER
-        since = (change.at + 1, change.low + 1, change.high + 1)
-        found.append(Finding(family, name, words, float(p[-1, k]), at + 1, *since))
+        found.append(Finding(family, name, words, float(p[-1, k]), at + 1, *(each + 1 for each in change)))
     return found
