@@ -90,6 +90,28 @@ def test_another_unit_is_named_and_said_first(name, factor, words):
     assert found.lines[2].startswith("- covariate jams is distributed differently")
 
 
+@pytest.mark.parametrize(
+    ("usual", "now", "is_named"),
+    [
+        (lambda rng: rng.normal(size=800), lambda rng: 0.4 + rng.normal(size=800), False),
+        (lambda rng: 0.1 + rng.normal(size=800), lambda rng: -0.3 + rng.normal(size=800), False),
+        (lambda rng: 0.3 + rng.normal(size=800), lambda rng: -0.35 + rng.normal(size=800), False),
+        (lambda rng: 2.0 + rng.normal(size=800), lambda rng: -2.0 + rng.normal(size=800), True),
+        (lambda rng: rng.gamma(2.0, size=800), lambda rng: -rng.gamma(2.0, size=800), True),
+    ],
+)
+def test_the_opposite_sign_is_named_where_no_small_drift_gives_the_same(usual, now, is_named):
+    promised = promised_states(log(shine=lambda _: usual(np.random.default_rng(2))), COLUMNS)
+    units, found = drifts_of(promised, log(1, shine=lambda _: now(np.random.default_rng(3))))
+    assert len((*units, *found)) == 1
+    assert any("the opposite sign" in each for each in units) == is_named
+
+
+def test_a_drift_of_few_states_is_no_other_unit():
+    units, drifts = drifts_of(PROMISED, log(1, num=14, shine=lambda s: s["shine"] + 12.0))
+    assert (units, len(drifts)) == ((), 1)
+
+
 def test_what_drifts_in_a_later_stage_is_told_of_that():
     _, (found,) = drifts_of(PROMISED, log(1, shine=lambda s: s["shine"].where(s["stage"] == 1, 0.5 * s["shine"])))
     assert "from stage 2 on" in found
