@@ -12,6 +12,7 @@ from halfseen.evaluation.estimate import around
 from halfseen.evaluation.kept import drifts_of, kept_promise
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
+from halfseen.monitoring.streams import input_streams
 from halfseen.policies.folder.promised_parts import promised_parts, promised_states
 from halfseen.policies.folder.record import Promise, converted
 
@@ -105,6 +106,18 @@ def test_the_opposite_sign_is_named_where_no_small_drift_gives_the_same(usual, n
     units, found = drifts_of(promised, log(1, shine=lambda _: now(np.random.default_rng(3))))
     assert len((*units, *found)) == 1
     assert any("the opposite sign" in each for each in units) == is_named
+
+
+@pytest.mark.parametrize(("kind", "later"), [(np.float32, np.float64), (np.float64, np.float32)])
+def test_single_precision_is_no_drift(kind, later):
+    def tenths(kind):
+        return log(1, shine=lambda s: (s["shine"].round(1) + 0.1).astype(kind))
+
+    promised = promised_states(tenths(kind), COLUMNS)
+    assert drifts_of(promised, tenths(later)) == ((), ())
+    usual, found = (input_streams(promised, tenths(each)) for each in (kind, later))
+    for one, other in zip(usual, found, strict=True):
+        np.testing.assert_array_equal(one.bins, other.bins)
 
 
 def test_a_drift_of_few_states_is_no_other_unit():

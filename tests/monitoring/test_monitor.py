@@ -17,7 +17,7 @@ from halfseen.monitoring.answer import FEWEST, num_needed, relearning
 from halfseen.monitoring.diagnosis import broken_parts, clock_unit, differs, part_words, swapped_or_changed
 from halfseen.monitoring.foreign import unknown_actions
 from halfseen.monitoring.monitor import ALPHAS, looks_at_of, monitored
-from halfseen.monitoring.streams import move_streams, part_streams, swap_streams, swapped_states
+from halfseen.monitoring.streams import input_streams, move_streams, part_streams, swap_streams, swapped_states
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.policies.folder.promised_parts import (
     FEWEST_STEPS,
@@ -208,6 +208,29 @@ def test_a_swap_is_asked_of_states_where_it_would_matter(stored):
             due.append((row.trajectory, np.sign(as_is - turned) * as_is, tolerance))
     assert 5 < len(due) < 60
     np.testing.assert_allclose(np.column_stack([found.trajectory, found.residuals, found.tolerance]), due)
+
+
+@pytest.mark.parametrize(("seen", "place"), [(-1.0, 0), (0.0, 1), (1.0, 2)])
+def test_a_number_below_all_of_the_log_is_told_from_its_lowest_as_one_above_is_from_its_highest(seen, place):
+    logs = cell(100, 0)
+    promised = promised_states(Logs(logs.stages.assign(z=0.0), logs.trajectories), ["z"])
+    [found] = input_streams(promised, Logs(logs.stages.assign(z=seen), logs.trajectories))
+    assert found.counts.tolist() == [0.0, 100.0, 0.0]
+    assert set(found.bins) == {place}
+
+
+@pytest.mark.parametrize(("longer", "is_noticed"), [(1.0005, False), (1.05, True)])
+def test_the_jitter_of_a_clock_is_no_change_where_all_took_as_long_in_the_log(stored, longer, is_noticed):
+    logs = cell(400, 0)
+    done = logs.stages["elapsed_s"].notna()
+    fixed = Logs(logs.stages.assign(elapsed_s=np.where(done, 1.0, np.nan)), logs.trajectories.assign(end_s=1.0))
+    parts = promised_parts(fixed, stored.policy)["parts"]
+    jitter = longer + 0.0003 * np.random.default_rng(1).normal(size=400)
+    took, ends = np.where(done, jitter, np.nan), fixed.trajectories.assign(end_s=jitter)
+    streams = part_streams(parts, looks_at_of(stored.policy), Logs(fixed.stages.assign(elapsed_s=took), ends))
+    found = next(each for each in streams if each.kind == "duration")
+    payoffs = betting.residual_payoffs(found.residuals, found.trajectory, 400, found.tolerance, found.reach)
+    assert (betting.log_wealth(payoffs)[-1, 0] > np.log(20)) == is_noticed
 
 
 def test_more_trajectories_take_nothing_back_and_one_in_progress_does_not_count(stored):

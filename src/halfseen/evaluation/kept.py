@@ -14,7 +14,7 @@ from halfseen.evaluation.off_policy import QSpec
 from halfseen.evaluation.specification import task_of
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
-from halfseen.policies.folder.promised_parts import below, outcome_rows, residuals
+from halfseen.policies.folder.promised_parts import below, comparable, outcome_rows, residuals
 from halfseen.policies.shares import action_shares
 
 APART = 0.1
@@ -181,7 +181,7 @@ def _apart(kept: Mapping[str, Any], values: Any) -> float:
         shares = values.astype(str).value_counts(normalize=True)
         was = pd.Series(kept["shares"], index=kept["names"])
         return float(shares.sub(was, fill_value=0.0).abs().sum() / 2.0)
-    knots, numbers = np.array(kept["values"]), np.sort(values.to_numpy(dtype=np.float64))
+    knots, numbers = map(np.sort, comparable(kept["values"], values))
     # A difference between two knots shows at the next one; below the lowest, the mass itself is the difference.
     under = float(np.searchsorted(numbers, knots[0], side="left") / len(numbers))
     return max(under, float(np.abs(below(numbers, knots) - np.array(kept["below"])).max()))
