@@ -78,7 +78,7 @@ def test_rewards_beyond_what_the_log_had_are_said_at_either_end(stored):
     is_first = (logs.stages["trajectory"] < 9) & logs.stages["reward"].notna()
     for brought, said in ((-500.0, "less than is possible by the log, counting as 0"), (500.0, "more than is")):
         other = Logs(logs.stages.assign(reward=logs.stages["reward"].mask(is_first, brought)), logs.trajectories)
-        (note,) = monitored(stored, other).notes
+        note, *_ = monitored(stored, other).notes
         assert f"{is_first.sum()} trajectories brought {said}" in note
     assert monitored(stored, logs).notes == ()
 
@@ -93,6 +93,16 @@ def test_a_part_that_broke_is_named_and_since_when(stored):
     )
     assert any("less than in the log in the same states" in each for each in found.causes)
     assert not any("swapped" in each for each in found.causes)
+
+
+def test_of_a_change_the_name_in_the_log_is_told_where_it_is_not_its_number(stored):
+    logs = cell(200, 1, policy=stored.policy, swaps=True)
+    tables = (each.assign(trajectory=each["trajectory"] + 701) for each in (logs.stages, logs.trajectories))
+    found = monitored(stored, Logs(*tables))
+    since = found.findings[0].since
+    assert f"trajectories that count are numbered from 1; number {since} is {700 + since} in the log" in found.notes
+    tables = (each.assign(trajectory=each["trajectory"] + 1) for each in (logs.stages, logs.trajectories))
+    assert monitored(stored, Logs(*tables)).notes == ()
 
 
 def test_no_change_lies_after_its_alarm(stored):

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from halfseen.logs.columns import shown
 from halfseen.monitoring.outcomes import Course, Outcomes
 from halfseen.shapes import Float
 from halfseen.wording import counted
@@ -180,6 +181,14 @@ def num_needed(value: Mapping[str, float] | None, num_learned: int, now: float |
     if lost <= 0.0:
         return None
     return max(FEWEST, int(np.ceil(num_learned * (CLEARLY * value["standard_error"] / lost) ** 2)))
+
+
+def numbering(number: int, names: Any) -> tuple[str, ...]:
+    """Say which trajectory a change begins with, if its name in the log is not its number among those that count."""
+    name = names[number - 1]
+    if str(name) == str(number):
+        return ()
+    return (f"trajectories that count are numbered from 1; number {number} is {shown(name)} in the log",)
 
 
 def relearning(num_since: int, since: str | int, needed: int | None, own: float) -> str:

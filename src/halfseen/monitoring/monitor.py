@@ -19,7 +19,7 @@ from halfseen.learning.task import Encoded
 from halfseen.logs import Logs
 from halfseen.logs.columns import ARM, RULE
 from halfseen.monitoring import betting
-from halfseen.monitoring.answer import MEND_FIRST, Finding, Monitored, num_needed, relearning
+from halfseen.monitoring.answer import MEND_FIRST, Finding, Monitored, num_needed, numbering, relearning
 from halfseen.monitoring.diagnosis import (
     CHANGED_TOGETHER,
     OTHER_UNIT,
@@ -211,7 +211,8 @@ def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n
     smallest = {family: np.minimum(p.min(axis=1, initial=1.0) * p.shape[1], 1.0) for family, p in p_values.items()}
     pays = "" if not findings else MEND_FIRST if is_misrecorded(causes) else _pays(stored, logs, since, earned)
     rest: Any = (outcomes, course, smallest, pays, bets.doubts, bets.foreign)
-    return Monitored(logs.num_trajectories, promised, earned, tuple(findings), causes, bets.notes, *rest)
+    notes = (*bets.notes, *(numbering(since, logs.trajectory_ids) if findings else ()))
+    return Monitored(logs.num_trajectories, promised, earned, tuple(findings), causes, notes, *rest)
 
 
 def _pays(stored: StoredPolicy, logs: Logs, since: int, earned: dict[str, float] | None) -> str:
@@ -298,8 +299,7 @@ def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) 
     known = task_of(stored.policy, plain).censoring_covariates(plain, None, False) if has_actions else None
     shape = (logs.num_trajectories, logs.horizon)
     nothing = Encoded(np.zeros((*shape, 1, 0)), np.ones((*shape, 1), dtype=bool), np.zeros(shape, dtype=np.int64))
-    spec = CensoringSpec("cox", by="pooled") if has_actions else None
-    weighted = CensoredOutcomes(low, max(high, low + 1e-9), spec)
+    weighted = CensoredOutcomes(low, max(high, low + 1e-9), CensoringSpec("cox", by="pooled") if has_actions else None)
     found = weighted.add(trajectory_arrays(logs, nothing, known).clocks, np.clip(total, low, high))
     if weighted.num_too_cut:
         notes.append(f"not counted in what it earns: {counted(weighted.num_too_cut, 'trajectory')} after too many cuts")
