@@ -328,7 +328,9 @@ def test_a_log_of_another_policy_is_not_judged_by_the_promise_of_this_one(stored
 def test_where_most_is_explored_or_the_rule_decides_the_log_is_of_the_service(stored):
     logs = cell(200, 3, policy=Opposite(stored.policy))
     by_rule = Logs(logs.stages.assign(stepped_back="late"), logs.trajectories)
-    assert monitored(stored, by_rule).foreign == ""
+    found = monitored(stored, by_rule)
+    assert found.foreign == ""
+    assert found.notes[0] == "200 of 200 decisions are the rule's, in the policy's place (late 200)"
     drawn = Logs(logs.stages.assign(probability=0.5), logs.trajectories)
     assert monitored(stored, drawn).foreign == ""
     assert monitored(stored, logs).foreign.startswith("Only 0% of the actions are the policy's")

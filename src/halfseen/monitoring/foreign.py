@@ -12,6 +12,7 @@ from collections.abc import Collection
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from halfseen.errors import LogError, NothingRecordedError, closest
 from halfseen.learning.covariates import Covariates
@@ -21,6 +22,8 @@ from halfseen.policies.shares import own_stages
 from halfseen.shapes import Bool
 from halfseen.wording import counted
 
+MANY = 0.1
+"""Share of the decisions above which those of its rule are reported."""
 HALF = 0.5
 """Probability above which an action is hardly exploration; and share of such actions that are not the policy's above
 which the log is not the policy's."""
@@ -54,6 +57,18 @@ def decided_by(digest: str, logs: Logs) -> Logs:
             "give the log of its service"
         )
     return logs if is_its.all() else logs.select(logs.trajectory_ids[is_its])
+
+
+def decided_by_others(whole_log: Logs, logs: Logs) -> list[str]:
+    """Say what a policy did not decide: trajectories outside `logs`, and stages there, if many, by its rule."""
+    notes, stages = [], logs.stages
+    if others := whole_log.num_trajectories - logs.num_trajectories:
+        notes.append(f"not counted: {counted(others, 'trajectory')} that the log does not ascribe to this policy")
+    causes: Any = stages[STEPPED_BACK].value_counts() if STEPPED_BACK in stages else pd.Series(dtype=int)
+    if (num := int(causes.sum())) > MANY * len(stages):
+        why = ", ".join(f"{cause} {count:,}" for cause, count in causes.items() if count)
+        notes.append(f"{num:,} of {len(stages):,} decisions are the rule's, in the policy's place ({why})")
+    return notes
 
 
 def in_known_categories(looks_at: Covariates, logs: Logs) -> Logs:

@@ -38,6 +38,7 @@ from halfseen.monitoring.diagnosis import (
 )
 from halfseen.monitoring.foreign import (
     decided_by,
+    decided_by_others,
     in_known_categories,
     not_its_own,
     own_actions,
@@ -131,9 +132,7 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     if promise is None:
         raise PolicyError("its folder holds no promise, as it is from halfseen 0.1; learn the policy again")
     whole_log, logs = logs, decided_by(stored.digest, logs)
-    others = whole_log.num_trajectories - logs.num_trajectories
-    unlike = "that the log does not ascribe to this policy"
-    notes = [f"not counted: {counted(others, 'trajectory')} {unlike}"] if others else []
+    notes = decided_by_others(whole_log, logs)
     has_ended = np.asarray(logs.trajectories["cause"] != RUNNING)
     logs = logs if has_ended.all() else logs.select(logs.trajectory_ids[has_ended])
     policy = stored.policy
