@@ -8,13 +8,13 @@ import pytest
 from scipy import stats
 
 from halfseen.cli.act import lines
-from halfseen.errors import LogError, PolicyError
+from halfseen.errors import LogError, NothingRecordedError, PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 from halfseen.monitoring import betting
 from halfseen.monitoring.answer import FEWEST, num_needed, of_names, relearning
-from halfseen.monitoring.diagnosis import broken_parts, clock_unit, differs, part_words, swapped_or_changed
+from halfseen.monitoring.diagnosis import broken_parts, clock_unit, differs, differs_at, part_words, swapped_or_changed
 from halfseen.monitoring.foreign import unknown_actions
 from halfseen.monitoring.monitor import ALPHAS, looks_at_of, monitored
 from halfseen.monitoring.streams import input_streams, move_streams, part_streams, swap_streams, swapped_states
@@ -261,6 +261,17 @@ def test_the_jitter_of_a_clock_is_no_change_where_all_took_as_long_in_the_log(st
     assert (betting.log_wealth(payoffs)[-1, 0] > np.log(20)) == is_noticed
 
 
+def test_a_change_may_lie_before_the_first_stage_that_shows_it(stored):
+    logs = cell(400, 0)
+    place, done = logs.stages["trajectory"], logs.stages["elapsed_s"].notna()
+    brought = {"action": np.where(place % 40 == 39, "A", "B"), "reward": np.where(place < 200, 0.9, -9.0)}
+    some = Logs(logs.stages.assign(**brought).assign(reward=lambda rows: rows["reward"].where(done)), logs.trajectories)
+    streams = part_streams(stored.record["promise"]["parts"], looks_at_of(stored.policy), some)
+    part = next(each for each in streams if (each.kind, each.about) == ("reward", "A"))
+    last, first = part.trajectory[part.trajectory < 200].max(), part.trajectory[part.trajectory >= 200].min()
+    assert differs_at(part, 399) == (first, last + 1, first)
+
+
 def test_more_trajectories_take_nothing_back_and_one_in_progress_does_not_count(stored):
     logs = cell(400, 2, (0.9, 0.4), stored.policy)
     whole = monitored(stored, logs)
@@ -273,6 +284,8 @@ def test_more_trajectories_take_nothing_back_and_one_in_progress_does_not_count(
     stages = logs.stages.copy()
     stages.loc[399, ["elapsed_s", "reward"]] = np.nan
     assert monitored(stored, Logs(stages, trajectories)).num_trajectories == 399
+    with pytest.raises(NothingRecordedError, match="no trajectory has ended so far"):
+        monitored(stored, Logs(stages, trajectories).select([399]))
 
 
 def test_of_trajectories_that_were_all_cut_nothing_is_said_of_the_promise(stored):

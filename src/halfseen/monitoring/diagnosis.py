@@ -68,8 +68,10 @@ def change_point(
     chance = np.exp(log_likelihood - log_likelihood.max())
     order = np.argsort(-chance, kind="stable")
     enough = int(np.searchsorted(np.cumsum(chance[order]) / chance.sum(), LEVEL)) + 1
-    held = there[order[:enough]]
-    return ChangePoint(int(there[order[0]]), int(held.min()), int(held.max()))
+    held, first = there[order[:enough]], int(order[:enough].min())
+    # It may have changed in a gap before the first value that shows it.
+    low = int(there[first - 1]) + 1 if first else 0
+    return ChangePoint(int(there[order[0]]), low, int(held.max()))
 
 
 def moved_at(stream: Stream, alarm: int) -> ChangePoint:
@@ -84,7 +86,8 @@ def differs_at(part: Stream, alarm: int) -> ChangePoint:
     """Trajectory, up to that of the alarm, from which residuals differ from those of the training log."""
     latest = int(np.searchsorted(part.trajectory, alarm, side="right")) - 1
     found = change_point(np.clip(part.residuals, -part.reach, part.reach), 0.0, part.num_states, latest)
-    return ChangePoint(*(int(part.trajectory[k]) for k in found))
+    at, low, high = (int(part.trajectory[k]) for k in found)
+    return ChangePoint(at, min(int(part.trajectory[found.low - 1]) + 1, low) if found.low else 0, high)
 
 
 def earns_less_at(outcomes: Outcomes, value: Any, alarm: int) -> ChangePoint:

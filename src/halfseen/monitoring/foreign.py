@@ -18,6 +18,7 @@ from halfseen.errors import LogError, NothingRecordedError, closest
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 from halfseen.logs.columns import DECIDED_BY, STEPPED_BACK, shown
+from halfseen.logs.recorded import STILL_RUNNING
 from halfseen.policies.shares import own_stages
 from halfseen.shapes import Bool
 from halfseen.wording import counted
@@ -57,6 +58,14 @@ def decided_by(digest: str, logs: Logs) -> Logs:
             "give the log of its service"
         )
     return logs if is_its.all() else logs.select(logs.trajectory_ids[is_its])
+
+
+def that_ended(logs: Logs) -> Logs:
+    """The trajectories that have ended; raises `NothingRecordedError` if none has."""
+    has_ended = np.asarray(logs.trajectories["cause"] != STILL_RUNNING)
+    if not has_ended.any():
+        raise NothingRecordedError("no trajectory has ended so far; monitor again once one has")
+    return logs if has_ended.all() else logs.select(logs.trajectory_ids[has_ended])
 
 
 def decided_by_others(whole_log: Logs, logs: Logs) -> list[str]:

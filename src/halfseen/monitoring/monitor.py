@@ -43,6 +43,7 @@ from halfseen.monitoring.foreign import (
     not_its_own,
     own_actions,
     refuse_unknown_alone,
+    that_ended,
     unknown_actions,
     unknown_categories,
 )
@@ -67,7 +68,6 @@ SURELY = 2.576
 """Number of standard errors below the promise at which a shortfall begins; 0.5 % by chance."""
 OWN = 0.9
 """Smallest share of the policy's own actions for which the earnings count as the policy's."""
-RUNNING = "still-running"
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,8 +133,7 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
         raise PolicyError("its folder holds no promise, as it is from halfseen 0.1; learn the policy again")
     whole_log, logs = logs, decided_by(stored.digest, logs)
     notes = decided_by_others(whole_log, logs)
-    has_ended = np.asarray(logs.trajectories["cause"] != RUNNING)
-    logs = logs if has_ended.all() else logs.select(logs.trajectory_ids[has_ended])
+    logs = that_ended(logs)
     policy = stored.policy
     looks_at = looks_at_of(policy)
     inputs, parts = input_streams(promise["stages"], logs), part_streams(promise.get("parts", ()), looks_at, logs)
