@@ -444,6 +444,16 @@ def test_a_folder_that_keeps_less_watches_less_and_one_that_keeps_nothing_is_ref
         monitored(type(stored)(stored.policy, {**stored.record, "promise": None}), cell(20, 1))
 
 
+def test_an_action_that_was_too_rare_for_a_model_is_named(stored):
+    promise = stored.record["promise"]
+    parts = [part for part in promise["parts"] if part["action"] == "A"]
+    rare = type(stored)(stored.policy, {**stored.record, "promise": {**promise, "parts": parts}})
+    logs = cell(60, 1, policy=stored.policy)
+    num = int((logs.stages["action"] == "B").sum())
+    found = f"not watched by itself, as the log it was learned from has too few: B ({num} stages)"
+    assert monitored(rare, logs).notes == (found,)
+
+
 def test_what_is_kept_of_parts_is_least_squares_and_the_range_by_hand(stored):
     logs = cell(500, 0)
     rows = logs.stages[logs.stages["reward"].notna() & (logs.stages["action"] == "A")]

@@ -98,6 +98,14 @@ def unknown_actions(policy: Any, logs: Logs) -> tuple[str, ...]:
     return tuple(_not_known(shown(action), count, int(counts.sum()), policy) for action, count in others.items())
 
 
+def not_watched(parts: Any, policy: Any, logs: Logs) -> list[str]:
+    """Name the actions that are taken but were too rare in the training log for a model of what they bring."""
+    rare = {str(action) for action in policy.actions} - {part["action"] for part in parts}
+    counts: Any = logs.stages["action"].dropna().astype(str).value_counts()
+    some = ", ".join(f"{action} ({counted(int(num), 'stage')})" for action, num in counts.items() if action in rare)
+    return [f"not watched by itself, as the log it was learned from has too few: {some}"] if some else []
+
+
 def refuse_unknown_alone(policy: Any, logs: Logs) -> None:
     """Refuse a log in which the policy knows none of the actions."""
     names = logs.stages["action"].dropna().unique()

@@ -41,6 +41,7 @@ from halfseen.monitoring.foreign import (
     decided_by_others,
     in_known_categories,
     not_its_own,
+    not_watched,
     own_actions,
     refuse_unknown_alone,
     that_ended,
@@ -146,6 +147,7 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     elif not promise.get("parts"):
         notes.append("the folder keeps no rewards and durations by action, so these are not monitored; learn it again")
     else:
+        notes += not_watched(promise["parts"], policy, logs)
         against, num = parts[:-1], logs.num_trajectories
         against += swap_streams(parts, promise["parts"], looks_at, logs, promise["stages"])
         against += move_streams(promise.get("unmoved"), logs)
