@@ -30,7 +30,7 @@ from worlds.examples import Bin, bin_cell
 
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
-from halfseen.logs.joining import since
+from halfseen.logs.later_part import since
 from halfseen.monitoring.training_log import changes_in
 
 NUM_BEFORE, NUMS_AFTER = 400, (100, 200, 400)

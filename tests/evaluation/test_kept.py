@@ -12,6 +12,7 @@ from halfseen.evaluation.estimate import around
 from halfseen.evaluation.kept import drifts_of, kept_promise
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
+from halfseen.monitoring.streams import input_streams
 from halfseen.policies.folder.promised_parts import promised_parts, promised_states
 from halfseen.policies.folder.record import Promise, converted
 
@@ -88,6 +89,40 @@ def test_another_unit_is_named_and_said_first(name, factor, words):
     assert found.lines[0] == f"C{unit[1:]}."
     assert found.lines[1].startswith("Promised")
     assert found.lines[2].startswith("- covariate jams is distributed differently")
+
+
+@pytest.mark.parametrize(
+    ("usual", "now", "is_named"),
+    [
+        (lambda rng: rng.normal(size=800), lambda rng: 0.4 + rng.normal(size=800), False),
+        (lambda rng: 0.1 + rng.normal(size=800), lambda rng: -0.3 + rng.normal(size=800), False),
+        (lambda rng: 0.3 + rng.normal(size=800), lambda rng: -0.35 + rng.normal(size=800), False),
+        (lambda rng: 2.0 + rng.normal(size=800), lambda rng: -2.0 + rng.normal(size=800), True),
+        (lambda rng: rng.gamma(2.0, size=800), lambda rng: -rng.gamma(2.0, size=800), True),
+    ],
+)
+def test_the_opposite_sign_is_named_where_no_small_drift_gives_the_same(usual, now, is_named):
+    promised = promised_states(log(shine=lambda _: usual(np.random.default_rng(2))), COLUMNS)
+    units, found = drifts_of(promised, log(1, shine=lambda _: now(np.random.default_rng(3))))
+    assert len((*units, *found)) == 1
+    assert any("the opposite sign" in each for each in units) == is_named
+
+
+@pytest.mark.parametrize(("kind", "later"), [(np.float32, np.float64), (np.float64, np.float32)])
+def test_single_precision_is_no_drift(kind, later):
+    def tenths(kind):
+        return log(1, shine=lambda s: (s["shine"].round(1) + 0.1).astype(kind))
+
+    promised = promised_states(tenths(kind), COLUMNS)
+    assert drifts_of(promised, tenths(later)) == ((), ())
+    usual, found = (input_streams(promised, tenths(each)) for each in (kind, later))
+    for one, other in zip(usual, found, strict=True):
+        np.testing.assert_array_equal(one.bins, other.bins)
+
+
+def test_a_drift_of_few_states_is_no_other_unit():
+    units, drifts = drifts_of(PROMISED, log(1, num=14, shine=lambda s: s["shine"] + 12.0))
+    assert (units, len(drifts)) == ((), 1)
 
 
 def test_what_drifts_in_a_later_stage_is_told_of_that():

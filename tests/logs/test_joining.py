@@ -1,7 +1,6 @@
 """Several logs as one, and the later part of one: nothing is lost or half-written, and what does not fit is named."""
 
 import json
-from datetime import datetime
 
 import numpy as np
 import pandas as pd
@@ -15,7 +14,7 @@ from halfseen.learning import CensoredQLearner
 from halfseen.learning.named_task import NamedActions
 from halfseen.logs import LogRecorder, Logs, LogStream, compact, joining, read_logs, write_stream
 from halfseen.logs.formats import read_csv, write_csv
-from halfseen.logs.joining import joined, since
+from halfseen.logs.joining import joined
 from refusals import refused
 from small_logs import flat_log, log_of, table_log
 
@@ -238,38 +237,3 @@ def test_a_log_without_a_unit_is_what_it_was(tmp_path):
         manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"reward_unit": unit}))
         with refused(r"logs.json: reward_unit is", LogError):
             read_logs(tmp_path / "logs")
-
-
-# The later part, by a name or a date.
-
-DAYS = pd.to_datetime(["2026-03-01 00:00", "2026-03-02 06:00", "2026-03-02 18:00"])
-
-
-def dated(names=(5, 7, 9), zone=None):
-    return log_of({"began": DAYS.tz_localize(zone)}, trajectory=list(names))
-
-
-@pytest.mark.parametrize(
-    ("when", "kept"),
-    [("7", [7, 9]), (7, [7, 9]), ("5", [5, 7, 9]), ("2026-03-02", [7, 9]), (datetime(2026, 3, 2, 12), [9])],
-)
-@pytest.mark.parametrize("zone", [None, "UTC"])
-def test_what_came_later_is_kept(when, kept, zone):
-    assert since(dated(zone=zone), when).trajectory_ids.tolist() == kept
-
-
-def test_names_may_be_text():
-    assert since(log_of(trajectory=["a", "b", "c"]), "b").trajectory_ids.tolist() == ["b", "c"]
-
-
-def test_what_is_not_there_is_refused_with_what_is():
-    with refused("since is 8, and the log has no such trajectory; give the name of one, 5 to 9, or a date by its"):
-        since(dated(), 8)
-    with refused("give the name of one, 5 to 9, or a date"):
-        since(dated(), "2027-01-01")
-    # A mistyped trajectory is no year, and a day is not taken for a month.
-    for when in ("1700", 1700, "02.03.2026", "03/02/2026", "now", "March 2026", "2026-03-32"):
-        with refused(f"since is {when}, and the log has no such trajectory; .* as 2026-01-31"):
-            since(dated(), when)
-    with refused("give the name of one, 'a' to 'b'$"):
-        since(log_of(trajectory=["a", "b"]), "2026-03-02")

@@ -84,7 +84,16 @@ def test_a_change_is_found_where_it_is_and_against_a_reference_from_the_first_on
     assert change_point(values[40:], 0.0, 100).at == 0
     sparse = np.full(120, np.nan)
     sparse[::2] = values
-    assert change_point(sparse).at == 80
+    sparse[:9] = np.nan
+    assert change_point(sparse) == (80, 79, 80)
+    assert change_point(sparse, 9.0, 100).low == 0
+
+
+def test_a_larger_change_after_the_alarm_is_not_what_the_alarm_was_about():
+    values = np.repeat([0.0, 1.0, 9.0], 40) + 0.1 * np.random.default_rng(0).normal(size=120)
+    assert change_point(values).at == 80
+    found = change_point(values, latest=50)
+    assert (found.at, found.high <= 50) == (40, True)
 
 
 @pytest.mark.slow

@@ -8,16 +8,16 @@ import pytest
 from scipy import stats
 
 from halfseen.cli.act import lines
-from halfseen.errors import LogError, PolicyError
+from halfseen.errors import LogError, NothingRecordedError, PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 from halfseen.monitoring import betting
-from halfseen.monitoring.answer import FEWEST, num_needed, relearning
-from halfseen.monitoring.diagnosis import broken_parts, clock_unit, differs, part_words, swapped_or_changed
+from halfseen.monitoring.answer import FEWEST, num_needed, of_names, relearning
+from halfseen.monitoring.diagnosis import broken_parts, clock_unit, differs, differs_at, part_words, swapped_or_changed
 from halfseen.monitoring.foreign import unknown_actions
 from halfseen.monitoring.monitor import ALPHAS, looks_at_of, monitored
-from halfseen.monitoring.streams import move_streams, part_streams, swap_streams, swapped_states
+from halfseen.monitoring.streams import input_streams, move_streams, part_streams, swap_streams, swapped_states
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.policies.folder.promised_parts import (
     FEWEST_STEPS,
@@ -79,7 +79,7 @@ def test_rewards_beyond_what_the_log_had_are_said_at_either_end(stored):
     is_first = (logs.stages["trajectory"] < 9) & logs.stages["reward"].notna()
     for brought, said in ((-500.0, "less than is possible by the log, counting as 0"), (500.0, "more than is")):
         other = Logs(logs.stages.assign(reward=logs.stages["reward"].mask(is_first, brought)), logs.trajectories)
-        (note,) = monitored(stored, other).notes
+        note, *_ = monitored(stored, other).notes
         assert f"{is_first.sum()} trajectories brought {said}" in note
     assert monitored(stored, logs).notes == ()
 
@@ -94,6 +94,42 @@ def test_a_part_that_broke_is_named_and_since_when(stored):
     )
     assert any("less than in the log in the same states" in each for each in found.causes)
     assert not any("swapped" in each for each in found.causes)
+
+
+def test_of_a_change_the_name_in_the_log_is_told_where_it_is_not_its_number(stored):
+    logs = cell(200, 1, policy=stored.policy, swaps=True)
+    tables = (each.assign(trajectory=each["trajectory"] + 701) for each in (logs.stages, logs.trajectories))
+    found = monitored(stored, Logs(*tables))
+    since = found.findings[0].since
+    assert f"trajectories that count are numbered from 1; number {since} is {700 + since} in the log" in found.notes
+    tables = (each.assign(trajectory=each["trajectory"] + 1) for each in (logs.stages, logs.trajectories))
+    assert monitored(stored, Logs(*tables)).notes == ()
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (
+            ["ep_1", "ep_10", "ep_2"],
+            "in the order of their names as text, 'ep_10' before 'ep_2'; if they ran otherwise",
+        ),
+        (["ep_01", "ep_02", "ep_10"], ""),
+        (["2026-03-01T10:00", "2026-03-02T09:00", "b"], ""),
+        ([1, 2, 10], ""),
+    ],
+)
+def test_names_whose_numbers_are_out_of_order_are_said(names, said):
+    notes = of_names(np.array(names, dtype=object), None)
+    assert len(notes) == bool(said)
+    assert all(said in note for note in notes)
+
+
+def test_no_change_lies_after_its_alarm(stored):
+    logs = cell(400, 1, (0.6, 0.0), stored.policy)
+    x = logs.stages["x"] + np.where(logs.stages["trajectory"] < 250, 0.15, 9.0)
+    found = monitored(stored, Logs(logs.stages.assign(x=x), logs.trajectories)).findings
+    assert {each.family for each in found} == {"rewards", "inputs", "parts"}
+    assert all(1 <= each.since_low <= each.since <= each.since_high <= each.alarm_at for each in found)
 
 
 def test_a_clock_in_milliseconds_is_told_from_a_slow_cell(stored):
@@ -203,6 +239,40 @@ def test_a_swap_is_asked_of_states_where_it_would_matter(stored):
     np.testing.assert_allclose(np.column_stack([found.trajectory, found.residuals, found.tolerance]), due)
 
 
+@pytest.mark.parametrize(("seen", "place"), [(-1.0, 0), (0.0, 1), (1.0, 2)])
+def test_a_number_below_all_of_the_log_is_told_from_its_lowest_as_one_above_is_from_its_highest(seen, place):
+    logs = cell(100, 0)
+    promised = promised_states(Logs(logs.stages.assign(z=0.0), logs.trajectories), ["z"])
+    [found] = input_streams(promised, Logs(logs.stages.assign(z=seen), logs.trajectories))
+    assert found.counts.tolist() == [0.0, 100.0, 0.0]
+    assert set(found.bins) == {place}
+
+
+@pytest.mark.parametrize(("longer", "is_noticed"), [(1.0005, False), (1.05, True)])
+def test_the_jitter_of_a_clock_is_no_change_where_all_took_as_long_in_the_log(stored, longer, is_noticed):
+    logs = cell(400, 0)
+    done = logs.stages["elapsed_s"].notna()
+    fixed = Logs(logs.stages.assign(elapsed_s=np.where(done, 1.0, np.nan)), logs.trajectories.assign(end_s=1.0))
+    parts = promised_parts(fixed, stored.policy)["parts"]
+    jitter = longer + 0.0003 * np.random.default_rng(1).normal(size=400)
+    took, ends = np.where(done, jitter, np.nan), fixed.trajectories.assign(end_s=jitter)
+    streams = part_streams(parts, looks_at_of(stored.policy), Logs(fixed.stages.assign(elapsed_s=took), ends))
+    found = next(each for each in streams if each.kind == "duration")
+    payoffs = betting.residual_payoffs(found.residuals, found.trajectory, 400, found.tolerance, found.reach)
+    assert (betting.log_wealth(payoffs)[-1, 0] > np.log(20)) == is_noticed
+
+
+def test_a_change_may_lie_before_the_first_stage_that_shows_it(stored):
+    logs = cell(400, 0)
+    place, done = logs.stages["trajectory"], logs.stages["elapsed_s"].notna()
+    brought = {"action": np.where(place % 40 == 39, "A", "B"), "reward": np.where(place < 200, 0.9, -9.0)}
+    some = Logs(logs.stages.assign(**brought).assign(reward=lambda rows: rows["reward"].where(done)), logs.trajectories)
+    streams = part_streams(stored.record["promise"]["parts"], looks_at_of(stored.policy), some)
+    part = next(each for each in streams if (each.kind, each.about) == ("reward", "A"))
+    last, first = part.trajectory[part.trajectory < 200].max(), part.trajectory[part.trajectory >= 200].min()
+    assert differs_at(part, 399) == (first, last + 1, first)
+
+
 def test_more_trajectories_take_nothing_back_and_one_in_progress_does_not_count(stored):
     logs = cell(400, 2, (0.9, 0.4), stored.policy)
     whole = monitored(stored, logs)
@@ -215,6 +285,8 @@ def test_more_trajectories_take_nothing_back_and_one_in_progress_does_not_count(
     stages = logs.stages.copy()
     stages.loc[399, ["elapsed_s", "reward"]] = np.nan
     assert monitored(stored, Logs(stages, trajectories)).num_trajectories == 399
+    with pytest.raises(NothingRecordedError, match="no trajectory has ended so far"):
+        monitored(stored, Logs(stages, trajectories).select([399]))
 
 
 def test_of_trajectories_that_were_all_cut_nothing_is_said_of_the_promise(stored):
@@ -270,7 +342,9 @@ def test_a_log_of_another_policy_is_not_judged_by_the_promise_of_this_one(stored
 def test_where_most_is_explored_or_the_rule_decides_the_log_is_of_the_service(stored):
     logs = cell(200, 3, policy=Opposite(stored.policy))
     by_rule = Logs(logs.stages.assign(stepped_back="late"), logs.trajectories)
-    assert monitored(stored, by_rule).foreign == ""
+    found = monitored(stored, by_rule)
+    assert found.foreign == ""
+    assert found.notes[0] == "200 of 200 decisions are the rule's, in the policy's place (late 200)"
     drawn = Logs(logs.stages.assign(probability=0.5), logs.trajectories)
     assert monitored(stored, drawn).foreign == ""
     assert monitored(stored, logs).foreign.startswith("Only 0% of the actions are the policy's")
@@ -369,6 +443,16 @@ def test_a_folder_that_keeps_less_watches_less_and_one_that_keeps_nothing_is_ref
     assert sum("learn it again" in each for each in found.notes) == 2
     with pytest.raises(PolicyError, match="learn the policy again"):
         monitored(type(stored)(stored.policy, {**stored.record, "promise": None}), cell(20, 1))
+
+
+def test_an_action_that_was_too_rare_for_a_model_is_named(stored):
+    promise = stored.record["promise"]
+    parts = [part for part in promise["parts"] if part["action"] == "A"]
+    rare = type(stored)(stored.policy, {**stored.record, "promise": {**promise, "parts": parts}})
+    logs = cell(60, 1, policy=stored.policy)
+    num = int((logs.stages["action"] == "B").sum())
+    found = f"not watched by itself, as the log it was learned from has too few: B ({num} stages)"
+    assert monitored(rare, logs).notes == (found,)
 
 
 def test_what_is_kept_of_parts_is_least_squares_and_the_range_by_hand(stored):

@@ -165,6 +165,22 @@ def test_a_trajectory_in_progress_is_told_and_cut_when_the_server_stops(flat, tm
     assert read_logs(tmp_path / "logs").trajectories["cause"].tolist() == ["server stopped"]
 
 
+def test_who_names_another_trajectory_than_that_in_progress_is_refused(flat, tmp_path):
+    with client_of(flat, tmp_path / "logs") as client:
+        begun = "trajectory is 1, but none is in progress; leave it out to begin one"
+        assert begun in refused(client.post("/decide", json=SEEN | {"trajectory": 1}), 409)
+        for number in (1, 2):
+            client.post("/decide", json=SEEN).raise_for_status()
+            client.post("/reward", json={"reward": 1.0, "trajectory": number}).raise_for_status()
+            client.post("/decide", json=SEEN | {"trajectory": number}).raise_for_status()
+            for path, asked in (("reward", {"reward": 1.0}), ("end", {"ending": "finished"}), ("decide", SEEN)):
+                line = refused(client.post(f"/{path}", json=asked | {"trajectory": 3 - number}), 409)
+                assert f"trajectory is {3 - number}, but {number} is in progress" in line
+            client.post("/reward", json={"reward": 1.0}).raise_for_status()
+            client.post("/end", json={"ending": "finished", "trajectory": number}).raise_for_status()
+    assert read_logs(tmp_path / "logs").stages["trajectory"].tolist() == [1, 1, 2, 2]
+
+
 def test_an_end_says_which(flat, tmp_path):
     with client_of(flat, tmp_path / "logs") as client:
         client.post("/decide", json=SEEN)
@@ -324,7 +340,7 @@ def test_a_field_that_a_model_does_not_take_is_named_with_its_value_and_the_reme
         for more, says in (("label", "'label' is not one of its parts"), ("cloud", "'cloud' is given twice")):
             parts = [*files.items(), (more, ("l.csv", b""))]
             line = refused(client.post("/decide", files=parts), 422)
-            assert line == f"the request: {says}; give cloud, labels, stage"
+            assert line == f"the request: {says}; give cloud, labels, stage, trajectory"
         line = refused(client.post("/decide", files=files, data={"labels": "0,dirty"}), 422)
         assert line.startswith("the request: labels is '0,dirty'; give a .csv or .json of labels, as")
 

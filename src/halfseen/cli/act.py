@@ -203,7 +203,7 @@ def monitor(
         Same seed, same ties between equal values.
     """
     from halfseen.logs import read_logs
-    from halfseen.logs.joining import since as later
+    from halfseen.logs.later_part import since as later
     from halfseen.monitoring.monitor import monitored
     from halfseen.policies.folder import read_policy
 

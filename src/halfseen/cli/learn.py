@@ -208,7 +208,7 @@ def _opened(
     logs: str | Path, streaming: bool | None, missing: dict[str, str] | None, since: str | None
 ) -> "Logs | LogStream":
     from halfseen.logs import Logs
-    from halfseen.logs.joining import since as later
+    from halfseen.logs.later_part import since as later
     from halfseen.logs.stream import opened
 
     log = opened(logs, streaming, missing=missing)

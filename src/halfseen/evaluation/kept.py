@@ -14,7 +14,7 @@ from halfseen.evaluation.off_policy import QSpec
 from halfseen.evaluation.specification import task_of
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
-from halfseen.policies.folder.promised_parts import below, outcome_rows, residuals
+from halfseen.policies.folder.promised_parts import below, comparable, outcome_rows, residuals
 from halfseen.policies.shares import action_shares
 
 APART = 0.1
@@ -38,6 +38,9 @@ UNITS = {
     -1.0: "the opposite sign",
 }
 """Factors between units of a covariate, described for multiplication; division is the other way round."""
+FITS, CLEARER = 0.4, 0.5
+"""Largest difference in another unit, as all numbers turn into one by a large factor, which few states may fit; and how
+much smaller it must be with the opposite sign than without, as the two are nearly alike around 0."""
 CLOCK_UNITS = (60.0, 1e3, 3600.0, 1e6, 1e9)
 FEWEST_TIMES, ABOUT = 20, 1.4
 """Fewest stages whose durations tell the unit of a clock, and the factor up to which one is met."""
@@ -108,7 +111,7 @@ def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[tuple[
             if max(_apart(kept[one], rows[other]), _apart(kept[other], rows[one])) <= least:
                 found[one] = found[other] = f"covariates {one} and {other} look swapped"
         for name in strange:
-            unit = _other_unit(kept[name], rows[name], least)
+            unit = _other_unit(kept[name], rows[name], least, apart[name])
             if unit and name not in found:
                 units[name] = f"covariate {name} {unit}"
                 continue
@@ -142,14 +145,15 @@ def _other_clock(parts: Sequence[Mapping[str, Any]], logs: Logs, policy: Any) ->
     return [f"the time of a stage {_unit_words(near[0])}"] if near else []
 
 
-def _other_unit(kept: Mapping[str, Any], values: Any, least: float) -> str:
+def _other_unit(kept: Mapping[str, Any], values: Any, least: float, apart_now: float) -> str:
     """Name the unit in which a number would have the promised distribution; "" if there is none."""
     if "values" not in kept or not pd.api.types.is_numeric_dtype(values.dtype):
         return ""
     factors = [factor**power for factor in UNITS for power in (1, -1)]
     apart = [_apart(kept, values / factor) for factor in factors]
     best = int(np.argmin(apart))
-    if apart[best] > least:
+    is_unclear = factors[best] == -1.0 and apart_now - apart[best] < CLEARER
+    if apart[best] > min(least, FITS) or is_unclear:
         return ""
     return _unit_words(factors[best])
 
@@ -177,7 +181,7 @@ def _apart(kept: Mapping[str, Any], values: Any) -> float:
         shares = values.astype(str).value_counts(normalize=True)
         was = pd.Series(kept["shares"], index=kept["names"])
         return float(shares.sub(was, fill_value=0.0).abs().sum() / 2.0)
-    knots, numbers = np.array(kept["values"]), np.sort(values.to_numpy(dtype=np.float64))
+    knots, numbers = map(np.sort, comparable(kept["values"], values))
     # A difference between two knots shows at the next one; below the lowest, the mass itself is the difference.
     under = float(np.searchsorted(numbers, knots[0], side="left") / len(numbers))
     return max(under, float(np.abs(below(numbers, knots) - np.array(kept["below"])).max()))

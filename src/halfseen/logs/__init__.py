@@ -4,7 +4,7 @@ A *trajectory* is one episode. It ends *finished*, or *cut*: right-censored by s
 
 Reading order: `missing` (what replaces null in covariates) → `columns` (accepted input, names, types, refusals) →
 `checks` (the rules) → `checked_tables` → `logs` (the record). On disk: `parquet` → `folder` → `stream` (a log in
-any format, whole or in passes) → `joining` (several logs as one). While a robot runs: `journal` (lines,
+any format, whole or in passes) → `joining` (several logs as one), `later_part`. While a robot runs: `journal` (lines,
 chained by checksums) → `journal_writer` → `recorded` (from events to tables) → `recording_state` →
 `trajectory_recorder` → `recorder` → `protocol` (without Python). Behind `halfseen inspect`: `plausibility`,
 `data_quality`. Other formats: `formats`.

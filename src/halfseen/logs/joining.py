@@ -1,14 +1,12 @@
-"""Joining logs in memory, part by part on disk, and across many folders of a fleet; and the later part of a log.
+"""Joining logs in memory, part by part on disk, and across many folders of a fleet.
 
 Folders are read twice, one after the other: first for the types of their columns, which must agree, then for writing.
 No more than a few thousand trajectories are in memory.
 """
 
 import os
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -289,47 +287,3 @@ def _unified(table: str, before: pa.Schema, here: pa.Schema, run: Place, first: 
                 f"{before.field(column).type} in those before it; give it one type"
             ) from error
     return pa.unify_schemas([before.remove_metadata(), here.remove_metadata()], promote_options="permissive")
-
-
-def since(logs: Logs, when: str | int | datetime) -> Logs:
-    """Keep the trajectories from a given one on, in the order of their names; or from a date on.
-
-    Parameters
-    ----------
-    logs
-        The log.
-    when
-        Name of the first trajectory to keep; or a date, if the trajectories have a column of dates.
-
-    Raises
-    ------
-    ArgumentError
-        `when` matches no trajectory and no date.
-    """
-    dates = [name for name in logs.trajectory_columns if pd.api.types.is_datetime64_any_dtype(logs.trajectories[name])]
-    is_kept = _from_name(logs, when) if not isinstance(when, datetime) else None
-    if is_kept is None and dates:
-        is_kept = _from_date(logs.trajectories[dates[0]], when)
-    if is_kept is None or not is_kept.any():
-        there = " to ".join(shown(logs.trajectory_ids[k]) for k in (0, -1))
-        there += f", or a date by its column {dates[0]!r}, as 2026-01-31" if dates else ""
-        raise ArgumentError(f"since is {when!s:.80}, and the log has no such trajectory; give the name of one, {there}")
-    return logs if is_kept.all() else logs.select(logs.trajectory_ids[is_kept])
-
-
-def _from_name(logs: Logs, when: Any) -> Any:
-    names = pd.Index(logs.trajectory_ids)
-    at = names.map(str).get_indexer([str(when)])[0]
-    return None if at < 0 else pd.RangeIndex(len(names)) >= at
-
-
-def _from_date(dates: Any, when: Any) -> Any:
-    # 1700 may be meant as a trajectory, and 05.01.2026 as either day.
-    if not isinstance(when, datetime) and not re.match(r"\d{4}-\d{2}-\d{2}", str(when)):
-        return None
-    date: Any = pd.to_datetime(when, format="ISO8601", errors="coerce")
-    if pd.isna(date):
-        return None
-    if (date.tzinfo is None) != (dates.dt.tz is None):
-        date = date.tz_localize(None) if dates.dt.tz is None else date.tz_localize(dates.dt.tz)
-    return (dates >= date).to_numpy()

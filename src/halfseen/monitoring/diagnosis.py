@@ -33,7 +33,9 @@ class ChangePoint(NamedTuple):
     high: int
 
 
-def change_point(values: Float[np.ndarray, " n"], mean: float = 0.0, weight: float | int = 0.0) -> ChangePoint:
+def change_point(
+    values: Float[np.ndarray, " n"], mean: float = 0.0, weight: float | int = 0.0, latest: int | None = None
+) -> ChangePoint:
     """Estimate where the mean of values has changed; NaN is ignored.
 
     Parameters
@@ -42,12 +44,16 @@ def change_point(values: Float[np.ndarray, " n"], mean: float = 0.0, weight: flo
         Values in order.
     mean, weight
         Mean of the reference, and the number of values that it counts as.
+    latest
+        Index of the alarm, by default of the last value. If a change after it is more likely, values after it are left
+        out.
     """
+    latest = max(len(values) - 1, 0) if latest is None else latest
     there = np.flatnonzero(~np.isnan(values))
     x = values[there]
     num = len(x)
     if num < 2:
-        return ChangePoint(0, 0, max(len(values) - 1, 0))
+        return ChangePoint(0, 0, latest)
     before = weight + np.arange(num)
     totals = weight * mean + np.append(0.0, np.cumsum(x)[:-1])
     squares = weight * mean**2 + np.append(0.0, np.cumsum(x * x)[:-1])
@@ -56,32 +62,39 @@ def change_point(values: Float[np.ndarray, " n"], mean: float = 0.0, weight: flo
     right = rest_squares - squares - rest**2 / after
     scatter = np.maximum(left + right, 1e-12 * max(rest_squares, 1e-300))
     log_likelihood = -0.5 * (num + min(weight, num)) * np.log(scatter)
+    if there[log_likelihood.argmax()] > latest:
+        return change_point(values[: latest + 1], mean, weight)
+    log_likelihood = log_likelihood[there <= latest]
     chance = np.exp(log_likelihood - log_likelihood.max())
     order = np.argsort(-chance, kind="stable")
     enough = int(np.searchsorted(np.cumsum(chance[order]) / chance.sum(), LEVEL)) + 1
-    held = there[order[:enough]]
-    return ChangePoint(int(there[order[0]]), int(held.min()), int(held.max()))
+    held, first = there[order[:enough]], int(order[:enough].min())
+    # It may have changed in a gap before the first value that shows it.
+    low = int(there[first - 1]) + 1 if first else 0
+    return ChangePoint(int(there[order[0]]), low, int(held.max()))
 
 
-def moved_at(stream: Stream) -> ChangePoint:
-    """Trajectory at which the bins of a stream have moved."""
+def moved_at(stream: Stream, alarm: int) -> ChangePoint:
+    """Trajectory, up to that of the alarm, at which the bins of a stream have moved."""
     values = np.where(stream.bins >= 0, stream.bins, np.nan).astype(np.float64)
     num = float(stream.counts.sum())
     mean = float(stream.counts @ np.arange(len(stream.counts)) / num) if num else 0.0
-    return change_point(values, mean, num)
+    return change_point(values, mean, num, alarm)
 
 
-def differs_at(part: Stream) -> ChangePoint:
-    """Trajectory from which residuals differ from those of the training log."""
-    found = change_point(np.clip(part.residuals, -part.reach, part.reach), 0.0, part.num_states)
-    return ChangePoint(*(int(part.trajectory[k]) for k in found))
+def differs_at(part: Stream, alarm: int) -> ChangePoint:
+    """Trajectory, up to that of the alarm, from which residuals differ from those of the training log."""
+    latest = int(np.searchsorted(part.trajectory, alarm, side="right")) - 1
+    found = change_point(np.clip(part.residuals, -part.reach, part.reach), 0.0, part.num_states, latest)
+    at, low, high = (int(part.trajectory[k]) for k in found)
+    return ChangePoint(at, min(int(part.trajectory[found.low - 1]) + 1, low) if found.low else 0, high)
 
 
-def earns_less_at(outcomes: Outcomes, value: Any) -> ChangePoint:
-    """Trajectory from which less is earned than promised."""
+def earns_less_at(outcomes: Outcomes, value: Any, alarm: int) -> ChangePoint:
+    """Trajectory, up to that of the alarm, from which less is earned than promised."""
     spread = float(np.nanstd(outcomes.values))
     error = max(float(value["standard_error"]), 1e-12)
-    return change_point(outcomes.values, float(value["value"]), (spread / error) ** 2)
+    return change_point(outcomes.values, float(value["value"]), (spread / error) ** 2, alarm)
 
 
 CLEARLY = 4.0

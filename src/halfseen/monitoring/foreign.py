@@ -12,15 +12,19 @@ from collections.abc import Collection
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from halfseen.errors import LogError, NothingRecordedError, closest
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 from halfseen.logs.columns import DECIDED_BY, STEPPED_BACK, shown
+from halfseen.logs.recorded import STILL_RUNNING
 from halfseen.policies.shares import own_stages
 from halfseen.shapes import Bool
 from halfseen.wording import counted
 
+MANY = 0.1
+"""Share of the decisions above which those of its rule are reported."""
 HALF = 0.5
 """Probability above which an action is hardly exploration; and share of such actions that are not the policy's above
 which the log is not the policy's."""
@@ -56,6 +60,26 @@ def decided_by(digest: str, logs: Logs) -> Logs:
     return logs if is_its.all() else logs.select(logs.trajectory_ids[is_its])
 
 
+def that_ended(logs: Logs) -> Logs:
+    """The trajectories that have ended; raises `NothingRecordedError` if none has."""
+    has_ended = np.asarray(logs.trajectories["cause"] != STILL_RUNNING)
+    if not has_ended.any():
+        raise NothingRecordedError("no trajectory has ended so far; monitor again once one has")
+    return logs if has_ended.all() else logs.select(logs.trajectory_ids[has_ended])
+
+
+def decided_by_others(whole_log: Logs, logs: Logs) -> list[str]:
+    """Say what a policy did not decide: trajectories outside `logs`, and stages there, if many, by its rule."""
+    notes, stages = [], logs.stages
+    if others := whole_log.num_trajectories - logs.num_trajectories:
+        notes.append(f"not counted: {counted(others, 'trajectory')} that the log does not ascribe to this policy")
+    causes: Any = stages[STEPPED_BACK].value_counts() if STEPPED_BACK in stages else pd.Series(dtype=int)
+    if (num := int(causes.sum())) > MANY * len(stages):
+        why = ", ".join(f"{cause} {count:,}" for cause, count in causes.items() if count)
+        notes.append(f"{num:,} of {len(stages):,} decisions are the rule's, in the policy's place ({why})")
+    return notes
+
+
 def in_known_categories(looks_at: Covariates, logs: Logs) -> Logs:
     """The log with unknown categories replaced by the first known one, as the censoring model needs it."""
     if looks_at.knows(logs.stages).all():
@@ -72,6 +96,14 @@ def unknown_actions(policy: Any, logs: Logs) -> tuple[str, ...]:
     counts: Any = logs.stages["action"].value_counts()
     others = {action: int(count) for action, count in counts.items() if count and action not in policy.actions}
     return tuple(_not_known(shown(action), count, int(counts.sum()), policy) for action, count in others.items())
+
+
+def not_watched(parts: Any, policy: Any, logs: Logs) -> list[str]:
+    """Name the actions that are taken but were too rare in the training log for a model of what they bring."""
+    rare = {str(action) for action in policy.actions} - {part["action"] for part in parts}
+    counts: Any = logs.stages["action"].dropna().astype(str).value_counts()
+    some = ", ".join(f"{action} ({counted(int(num), 'stage')})" for action, num in counts.items() if action in rare)
+    return [f"not watched by itself, as the log it was learned from has too few: {some}"] if some else []
 
 
 def refuse_unknown_alone(policy: Any, logs: Logs) -> None:

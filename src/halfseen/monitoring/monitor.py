@@ -19,7 +19,7 @@ from halfseen.learning.task import Encoded
 from halfseen.logs import Logs
 from halfseen.logs.columns import ARM, RULE
 from halfseen.monitoring import betting
-from halfseen.monitoring.answer import MEND_FIRST, Finding, Monitored, num_needed, relearning
+from halfseen.monitoring.answer import MEND_FIRST, Finding, Monitored, num_needed, of_names, relearning
 from halfseen.monitoring.diagnosis import (
     CHANGED_TOGETHER,
     OTHER_UNIT,
@@ -38,10 +38,13 @@ from halfseen.monitoring.diagnosis import (
 )
 from halfseen.monitoring.foreign import (
     decided_by,
+    decided_by_others,
     in_known_categories,
     not_its_own,
+    not_watched,
     own_actions,
     refuse_unknown_alone,
+    that_ended,
     unknown_actions,
     unknown_categories,
 )
@@ -66,7 +69,6 @@ SURELY = 2.576
 """Number of standard errors below the promise at which a shortfall begins; 0.5 % by chance."""
 OWN = 0.9
 """Smallest share of the policy's own actions for which the earnings count as the policy's."""
-RUNNING = "still-running"
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,11 +133,8 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     if promise is None:
         raise PolicyError("its folder holds no promise, as it is from halfseen 0.1; learn the policy again")
     whole_log, logs = logs, decided_by(stored.digest, logs)
-    others = whole_log.num_trajectories - logs.num_trajectories
-    unlike = "that the log does not ascribe to this policy"
-    notes = [f"not counted: {counted(others, 'trajectory')} {unlike}"] if others else []
-    has_ended = np.asarray(logs.trajectories["cause"] != RUNNING)
-    logs = logs if has_ended.all() else logs.select(logs.trajectory_ids[has_ended])
+    notes = decided_by_others(whole_log, logs)
+    logs = that_ended(logs)
     policy = stored.policy
     looks_at = looks_at_of(policy)
     inputs, parts = input_streams(promise["stages"], logs), part_streams(promise.get("parts", ()), looks_at, logs)
@@ -148,6 +147,7 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     elif not promise.get("parts"):
         notes.append("the folder keeps no rewards and durations by action, so these are not monitored; learn it again")
     else:
+        notes += not_watched(promise["parts"], policy, logs)
         against, num = parts[:-1], logs.num_trajectories
         against += swap_streams(parts, promise["parts"], looks_at, logs, promise["stages"])
         against += move_streams(promise.get("unmoved"), logs)
@@ -211,7 +211,8 @@ def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n
     smallest = {family: np.minimum(p.min(axis=1, initial=1.0) * p.shape[1], 1.0) for family, p in p_values.items()}
     pays = "" if not findings else MEND_FIRST if is_misrecorded(causes) else _pays(stored, logs, since, earned)
     rest: Any = (outcomes, course, smallest, pays, bets.doubts, bets.foreign)
-    return Monitored(logs.num_trajectories, promised, earned, tuple(findings), causes, bets.notes, *rest)
+    notes = (*bets.notes, *of_names(logs.trajectory_ids, since if findings else None))
+    return Monitored(logs.num_trajectories, promised, earned, tuple(findings), causes, notes, *rest)
 
 
 def _pays(stored: StoredPolicy, logs: Logs, since: int, earned: dict[str, float] | None) -> str:
@@ -298,8 +299,7 @@ def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) 
     known = task_of(stored.policy, plain).censoring_covariates(plain, None, False) if has_actions else None
     shape = (logs.num_trajectories, logs.horizon)
     nothing = Encoded(np.zeros((*shape, 1, 0)), np.ones((*shape, 1), dtype=bool), np.zeros(shape, dtype=np.int64))
-    spec = CensoringSpec("cox", by="pooled") if has_actions else None
-    weighted = CensoredOutcomes(low, max(high, low + 1e-9), spec)
+    weighted = CensoredOutcomes(low, max(high, low + 1e-9), CensoringSpec("cox", by="pooled") if has_actions else None)
     found = weighted.add(trajectory_arrays(logs, nothing, known).clocks, np.clip(total, low, high))
     if weighted.num_too_cut:
         notes.append(f"not counted in what it earns: {counted(weighted.num_too_cut, 'trajectory')} after too many cuts")
@@ -335,16 +335,16 @@ def _findings(family: str, p: Float[np.ndarray, "n F"], bets: Bets, promise: Any
         at = betting.first_rejected(p, alpha, k)
         if k < len(streams):
             against_log = family == "promise" or (family == "parts" and k > len(promise.get("parts", ())))
-            change, name = (differs_at if against_log else moved_at)(streams[k]), streams[k].name
+            change, name = (differs_at if against_log else moved_at)(streams[k], at), streams[k].name
             if family == "inputs" and streams[k].kind == "swap":
                 words = swapped_or_changed(streams[k].about, promise, bets.logs, change.at)
                 name = name if SWAPPED in words else "all covariates"
             else:
                 words = (differs if against_log else moved)(streams[k], change.at)
         elif family == "promise" and outcomes is not None:
-            change, name, words = earns_less_at(outcomes, promise["value"]), "promise", "it earns less than promised"
+            change = earns_less_at(outcomes, promise["value"], at)
+            name, words = "promise", "it earns less than promised"
         else:
             change, name, words = ChangePoint(0, 0, at), "all covariates", CHANGED_TOGETHER
-        since = (change.at + 1, change.low + 1, change.high + 1)
-        found.append(Finding(family, name, words, float(p[-1, k]), at + 1, *since))
+        found.append(Finding(family, name, words, float(p[-1, k]), at + 1, *(each + 1 for each in change)))
     return found

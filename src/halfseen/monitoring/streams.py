@@ -17,7 +17,7 @@ from scipy.special import ndtri
 
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
-from halfseen.policies.folder.promised_parts import WHATS, expanded_as, moves, outcome_rows, residuals
+from halfseen.policies.folder.promised_parts import WHATS, comparable, expanded_as, moves, outcome_rows, residuals
 from halfseen.shapes import Bool, Float, Int
 
 Kind = Literal["input", "reward", "duration", "cut", "swap", "move"]
@@ -27,6 +27,8 @@ OFF, MISFIT = 0.01, 0.1
 `MISFIT` times the residuals' deviation for nonlinearity."""
 LEAST_DEVIATION = 0.1
 """Smallest deviation, as a share of the largest among the actions: a reward that was constant may now vary a little."""
+LEAST = {"reward": 1e-9, "duration": 0.01}
+"""Smallest deviation of rewards, and of log durations, in which a clock's jitter is no change."""
 ZERO_OF = 3.0
 """An event that never happened in n steps has a probability of at most 3 / n, at 95 %."""
 MOST_PAIRS = 15
@@ -105,7 +107,7 @@ def input_streams(promised: Any, logs: Logs) -> list[Stream]:
             if name not in rows.columns:
                 continue
             values, bins, num_bins = _binned(described, rows[name], at, logs.num_trajectories)
-            counts = _counts(described, entry["num_states"], num_bins) if first else np.zeros(num_bins)
+            counts = _counts(described, entry["num_states"]) if first else np.zeros(num_bins)
             is_number = described.get("values") is not None
             streams.append(Stream("input", name, entry["stage"], values, bins, counts, is_number))
     return streams
@@ -119,12 +121,12 @@ def part_streams(parts: Any, looks_at: Covariates, logs: Logs) -> list[Stream]:
     for part in parts:
         some = rows[rows["action"].astype(str) == part["action"]]
         left, trajectory = part_residuals(part, looks_at, some), _places(logs, some)
-        total = pd.Series(left).groupby(trajectory).sum()
-        values, bins, num_bins = _binned(part["residuals"], total, total.index, logs.num_trajectories)
-        deviation = max(float(part["deviation"]), LEAST_DEVIATION * largest[part["what"]], 1e-9)
-        reach = max(*np.abs(part["residuals"]["values"]), 3.0 * deviation)
+        knots = part["residuals"]["values"]
+        values, bins = _totals(left, trajectory, knots, logs.num_trajectories)
+        deviation = max(float(part["deviation"]), LEAST_DEVIATION * largest[part["what"]], LEAST[part["what"]])
+        reach = max(*np.abs(knots), 3.0 * deviation)
         tolerance = errors * _error(part, looks_at, some, deviation)
-        rest = (np.zeros(num_bins), True, left, trajectory, tolerance, reach, part["num_states"])
+        rest = (np.zeros(len(knots) + 1), True, left, trajectory, tolerance, reach, part["num_states"])
         streams.append(Stream(part["what"], part["action"], None, values, bins, *rest))
     is_cut = (~logs.is_finished).astype(int)
     return [*streams, Stream("cut", "", None, is_cut.astype(float), is_cut, np.zeros(2))]
@@ -264,11 +266,17 @@ def _together(
     # Within a trajectory the order does not matter.
     order = np.argsort(trajectory, kind="stable")
     left, tolerance, trajectory = left[order], tolerance[order], trajectory[order]
+    own = (*_totals(left, trajectory, knots, num), np.zeros(len(knots) + 1), True)
+    return Stream(kind, about, None, *own, left, trajectory, tolerance, reach, num_states)
+
+
+def _totals(
+    left: Float[np.ndarray, " m"], trajectory: Int[np.ndarray, " m"], knots: Any, num: int
+) -> tuple[Float[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Sum of residuals of each trajectory, NaN if it has none, and its bin."""
     total = pd.Series(left).groupby(trajectory).sum()
     values = _spread(total, total.index, num, np.nan)
-    bins = np.where(np.isnan(values), -1, np.searchsorted(knots, values, side="left"))
-    own = (values, bins, np.zeros(len(knots) + 1), True)
-    return Stream(kind, about, None, *own, left, trajectory, tolerance, reach, num_states)
+    return values, np.where(np.isnan(values), -1, np.searchsorted(knots, values, side="left"))
 
 
 def own_alone(streams: list[Stream], is_own: Bool[np.ndarray, " n"]) -> list[Stream]:
@@ -316,19 +324,22 @@ def _spread(values: Any, at: Any, num: int, empty: float | int) -> Float[np.ndar
 
 def _binned(described: Mapping[str, Any], values: Any, at: Any, num: int) -> tuple[np.ndarray, np.ndarray, int]:
     """Numeric value and bin of each trajectory, and the number of bins."""
+    # A bin for numbers below the lowest place, if there are any; one for each place; and one for all others.
     places = described.get("values") or described["names"]
+    num_bins = len(places) + (2 if described.get("values") else 1)
     if described.get("values") is None:
         bins = pd.Index(places).get_indexer(values.astype(str))
         bins = numbers = np.where(bins < 0, len(places), bins)
     elif is_numeric_dtype(values.dtype):
-        numbers = values.to_numpy(dtype=np.float64)
-        bins = np.searchsorted(places, numbers, side="left")
+        knots, numbers = comparable(places, values)
+        bins = np.searchsorted(knots, numbers, side="left") + (numbers >= knots[0])
     else:
         # Text instead of numbers goes into the last bin.
-        numbers, bins = np.nan, len(places)
-    return _spread(numbers, at, num, np.nan), _spread(bins, at, num, -1).astype(int), len(places) + 1
+        numbers, bins = np.nan, num_bins - 1
+    return _spread(numbers, at, num, np.nan), _spread(bins, at, num, -1).astype(int), num_bins
 
 
-def _counts(described: Mapping[str, Any], num_states: int, num_bins: int) -> Float[np.ndarray, " K"]:
-    shares = described["shares"] if described.get("values") is None else np.diff(described["below"], prepend=0.0)
-    return num_states * np.append(shares, 0.0)[:num_bins]
+def _counts(described: Mapping[str, Any], num_states: int) -> Float[np.ndarray, " K"]:
+    if described.get("values") is None:
+        return num_states * np.append(described["shares"], 0.0)
+    return num_states * np.diff(described["below"], prepend=[0.0, 0.0], append=described["below"][-1])

@@ -147,12 +147,12 @@ async def _decide(served: Served, request: Request) -> DecisionAnswer:
 
 async def _reward(served: Served, request: Request) -> models.RecordingProgress:
     given = model_of(await _object(request), models.StageReward)
-    return await served.rewarded(given.reward, given.elapsed_s, given.held)
+    return await served.rewarded(given.reward, given.elapsed_s, given.held, given.trajectory)
 
 
 async def _end(served: Served, request: Request) -> models.EndAnswer:
     given = model_of(await _object(request), models.TrajectoryEnd)
-    return await served.ended(given.cause, given.elapsed_s)
+    return await served.ended(given.cause, given.elapsed_s, given.trajectory)
 
 
 async def _comparison(served: Served, request: Request) -> models.Compared:

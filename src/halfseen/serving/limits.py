@@ -139,7 +139,7 @@ async def cloud_in(request: Request) -> AsyncIterator[CloudRequest]:
     names = CloudRequest.__struct_fields__
     async with contextlib.AsyncExitStack() as kept:
         try:
-            form = await kept.enter_async_context(request.form(max_files=2, max_fields=1, max_part_size=1 << 10))
+            form = await kept.enter_async_context(request.form(max_files=2, max_fields=2, max_part_size=1 << 10))
         except HTTPException as error:
             trouble = f"the request is not a multipart form ({error.detail}); give {', '.join(names)}"
             raise Refusal(400, trouble) from error

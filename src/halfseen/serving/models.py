@@ -30,6 +30,10 @@ Held = _is(
 Action = Annotated[int | str, _is("The action by name; on a table, such as LIFT 2.")]
 Target = Annotated[Any, _is("On tables: the object acted on, as the log names it; null if none.")]
 Trajectory = Annotated[int | str, _is("Name under which it is recorded.")]
+InProgress = Annotated[
+    int | str | None,
+    _is("The name of the trajectory in progress, if another is to be refused; by default, any is taken."),
+]
 Why = Annotated[
     Literal["out-of-range", "beyond-horizon", "failed", "late"],
     _is("Why the rule decided in the policy's place; only where it did."),
@@ -45,6 +49,7 @@ class State(Struct):
     """Covariates of a stage, by name."""
 
     stage: Stage | UnsetType = UNSET
+    trajectory: InProgress = None
 
 
 class TableRequest(Struct):
@@ -57,6 +62,7 @@ class TableRequest(Struct):
         ),
     ]
     stage: Stage | UnsetType = UNSET
+    trajectory: InProgress = None
 
 
 class CloudRequest(Struct):
@@ -65,6 +71,7 @@ class CloudRequest(Struct):
     cloud: Annotated[File, _is("A file of what the camera sees: .pcd, .ply or .npz.")]
     labels: Annotated[File, _is("A .csv or .json of labels, as for halfseen look --labels.")] | UnsetType = UNSET
     stage: Stage | UnsetType = UNSET
+    trajectory: InProgress = None
 
 
 class StageReward(Struct, forbid_unknown_fields=True):
@@ -73,6 +80,7 @@ class StageReward(Struct, forbid_unknown_fields=True):
     reward: Annotated[float, _is("A number, in the unit of the log.")]
     elapsed_s: Clock = None
     held: Annotated[bool | None, Held] = None
+    trajectory: InProgress = None
 
 
 class TrajectoryEnd(Struct, forbid_unknown_fields=True):
@@ -81,6 +89,7 @@ class TrajectoryEnd(Struct, forbid_unknown_fields=True):
     ending: Annotated[Literal["finished", "cut"], _is('The word "finished", or "cut" if it did not end by itself.')]
     cause: Annotated[str | None, _is("What cut it, such as operator; with cut alone.")] = None
     elapsed_s: Clock = None
+    trajectory: InProgress = None
 
     def __post_init__(self) -> None:
         if (self.ending == "cut") != (self.cause is not None):

@@ -87,11 +87,11 @@ def seen_in_state(
     Refusal
         Its stage differs from the next stage to record, or that stage cannot begin.
     """
-    next_stage = None if trajectories is None else trajectories.next_stage()
+    next_stage = None if trajectories is None else trajectories.next_stage(state.get("trajectory"))
     said = stage_of(state, BODY, getattr(service.stored.policy, "covariates", ()))
     stage = checked_stage(said if "stage" in state else next_stage or 1, LATEST_STAGE, BODY, "")
     _check_next(stage, next_stage)
-    covariates = {name: value for name, value in state.items() if name != "stage"}
+    covariates = {name: value for name, value in state.items() if name not in ("stage", "trajectory")}
     if service.stored.is_table:
         objects = model_of(state, TableRequest).objects
         del covariates["objects"]
@@ -151,7 +151,7 @@ def seen_in_cloud(
         raise Refusal(415, f"the policy looks at {looks_at}, not at clouds; give a JSON object of these")
     from halfseen.policies.table_observation import Past, see_table
 
-    next_stage = None if trajectories is None else trajectories.next_stage(is_of_cloud=True)
+    next_stage = None if trajectories is None else trajectories.next_stage(given.trajectory, is_of_cloud=True)
     stage = checked_stage(given.stage or next_stage or 1, LATEST_STAGE, BODY, "")
     _check_next(stage, next_stage)
     so_far = None if trajectories is None else trajectories.so_far

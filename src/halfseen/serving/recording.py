@@ -114,19 +114,36 @@ class RecordedTrajectories:
         """Generator to explore by: another each time that recording begins, and other than that of a comparison."""
         return np.random.default_rng([seed, self._recorder.num_earlier_stages, 1])
 
-    def next_stage(self, *, is_of_cloud: bool = False) -> int:
+    def check_in_progress(self, trajectory: Any) -> None:
+        """Refuse a request that names another trajectory than that in progress; one that names none passes.
+
+        Raises
+        ------
+        Refusal
+            The two are not the same, so another client asks, too.
+        """
+        now = self.facts.trajectory
+        if trajectory is not None and (now is None or str(trajectory) != str(now)):
+            there = "none is in progress; leave it out to begin one" if now is None else f"{now} is in progress"
+            raise Refusal(409, f"trajectory is {trajectory!r:.40}, but {there}; give each client a server of its own")
+
+    def next_stage(self, trajectory: Any = None, *, is_of_cloud: bool = False) -> int:
         """Stage that the next decision begins, from 1.
 
         Parameters
         ----------
+        trajectory
+            As in `check_in_progress`.
         is_of_cloud
             As in `Begun`.
 
         Raises
         ------
         Refusal
-            The previous stage has no reward yet, or the form of the state differs from that of earlier stages.
+            Another trajectory is in progress, the previous stage has no reward yet, or the form of the state differs
+            from that of earlier stages.
         """
+        self.check_in_progress(trajectory)
         self._check_rewarded()
         if is_of_cloud and not self._is_of_tables:
             raise Refusal(409, "recording began with a policy without tables; record this one into another folder")

@@ -258,16 +258,18 @@ class Served:
         return SteppedBack("late", f"the policy did not answer within {self.limit_s:g} s")
 
     async def rewarded(
-        self, reward: float, elapsed_s: float | None = None, held: bool | None = None
+        self, reward: float, elapsed_s: float | None = None, held: bool | None = None, trajectory: Any = None
     ) -> RecordingProgress:
-        """Complete the stage in progress; parameters and errors as in `RecordedTrajectories.rewarded`."""
+        """Complete the stage in progress, as `RecordedTrajectories` checks it and does."""
         async with self.lock:
+            self.recording.check_in_progress(trajectory)
             return self.recording.rewarded(reward, elapsed_s, held)
 
-    async def ended(self, cause: str | None, elapsed_s: float | None = None) -> EndAnswer:
-        """End the trajectory in progress, as `RecordedTrajectories.ended` does, and count it in a comparison."""
+    async def ended(self, cause: str | None, elapsed_s: float | None = None, trajectory: Any = None) -> EndAnswer:
+        """End the trajectory in progress, as `RecordedTrajectories` checks it and does; count it in a comparison."""
         async with self.lock:
             recording, comparison = self.recording, self.answering.comparison
+            recording.check_in_progress(trajectory)
             ended = recording.ended(cause, elapsed_s)
             if comparison is not None:
                 await to_thread.run_sync(comparison.ended, recording.events)

@@ -81,6 +81,15 @@ def below(sorted_numbers: Float[np.ndarray, " n"], knots: Float[np.ndarray, " k"
     return np.searchsorted(sorted_numbers, knots, side="right") / len(sorted_numbers)
 
 
+def comparable(knots: Sequence[float], values: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Knots and numbers, in single precision if either may be, since 0.1 is then more than the 0.1 of doubles."""
+    places = np.asarray(knots, dtype=np.float64)
+    with np.errstate(over="ignore"):
+        is_single = values.dtype == np.float32 or bool((places.astype(np.float32) == places).all())
+        kind = np.float32 if is_single else np.float64
+        return places.astype(kind), values.to_numpy(dtype=np.float64).astype(kind)
+
+
 def promised_parts(logs: Logs, policy: Any) -> dict[str, Any]:
     """Describe how the cell of a log behaved.
 
