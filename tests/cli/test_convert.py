@@ -245,6 +245,10 @@ def test_rows_of_a_database_are_events_too(place):
     )
     told = "table.query: since = 'stage' takes the order of rows, which a database does not keep; add ORDER BY"
     assert told in refusal("sql:sqlite:///cell.db", "--mapping", "order.toml", "--out", "x")
+    filled = Path("order.toml").read_text().replace('since = "stage"', 'since = "trajectory"')
+    Path("order.toml").write_text(filled.replace('"rewarded"', '[""], field = "Text"') + 'table.fill_down = ["Lauf"]\n')
+    told = "table.query: fill_down takes the order of rows"
+    assert told in refusal("sql:sqlite:///cell.db", "--mapping", "order.toml", "--out", "x")
     assert "table.query: it is missing" in refusal("sql:sqlite:///cell.db", "--mapping", "events.toml", "--out", "x")
     assert "put the SELECT into it as table.query" in refusal("sql:sqlite:///cell.db", "--mapping-template")
     for words in (("--out", "x"), ("--out", "x", "--mapping", "cell.toml"), ("--mapping-template",)):

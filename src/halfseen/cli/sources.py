@@ -206,8 +206,10 @@ def _read_sql(url: str, how: Reading, missing: str | None) -> "Logs":
         if is_event_mapping(how.mapping):
             mapping = read_event_mapping(how.mapping)
             query = mapping.table.query
-            if query is not None and mapping.takes_order and "order by" not in " ".join(query.lower().split()):
-                trouble = f"since = {mapping.clock.since!r} takes the order of rows, which a database does not keep"
+            takes = f"since = {mapping.clock.since!r}" if mapping.takes_order else "fill_down"
+            has_order = "order by" in " ".join((query or "").lower().split())
+            if query is not None and not has_order and (mapping.takes_order or mapping.table.fill_down):
+                trouble = f"{takes} takes the order of rows, which a database does not keep"
                 raise ArgumentError(f"{how.mapping}, table.query: {trouble}; add ORDER BY")
             if query is None:
                 raise ArgumentError(f"{how.mapping}, table.query: it is missing; give the SELECT that returns the rows")

@@ -211,7 +211,7 @@ def test_durations_in_two_parts_have_the_unit_of_the_first(read_table):
 
     assert read(["1:30", "75:00,5", "1:00:05"], ', unit = "min"').end_s.tolist() == [90.0, 4500.5, 3605.0]
     assert read(["1:30", "1:00:05"], ', unit = "h"').end_s.tolist() == [5400.0, 3605.0]
-    with refused("line 2, column 'ms': '1:30' is in two parts; set clock.unit = \"min\" for minutes and seconds, or"):
+    with refused("line 2, column 'ms': '1:30' has two parts; set clock.unit = \"min\" for minutes and seconds, or"):
         read(["1:30"])
     with refused('line 2, .* set clock.unit = "min" or "h", that of its first part'):
         read(["1:30"], ', unit = "s"')

@@ -42,7 +42,7 @@ def durations_ns(cells: Cells, column: str, unit: str | None) -> Int[np.ndarray,
             if unit is not None:
                 trouble = "has no colon or is no duration, but others are; write all times alike"
             elif LASTED_SHORT.fullmatch(cell):
-                trouble = 'is in two parts; set clock.unit = "min" for minutes and seconds, or "h" for hours and minutes'
+                trouble = 'has two parts; set clock.unit = "min" for minutes and seconds, or "h" for hours and minutes'
             cells.refuse(row, column, trouble)
         *parts, fraction = match.groups("0")
         stamps[row] = int(np.dot([86400, 3600, 60, 1], [*map(int, parts)])) * 10**9 + int(fraction.ljust(9, "0"))

@@ -16,6 +16,7 @@ from halfseen.logs.folder import TEXT_FILES, WORKBOOKS
 from halfseen.logs.formats import guesses
 from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS
 from halfseen.logs.formats.durations import LASTED_SHORT, is_duration
+from halfseen.logs.formats.empty_cells import without_missing
 from halfseen.logs.formats.guesses import Guesses, are_numbers
 from halfseen.logs.formats.table_cells import (
     ROW,
@@ -24,7 +25,6 @@ from halfseen.logs.formats.table_cells import (
     kind_of_table,
     read_cells,
     refuse_empty,
-    without_missing,
 )
 from halfseen.logs.formats.table_mapping import TextLayout
 from halfseen.logs.formats.table_values import (
@@ -239,6 +239,8 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
         pairs = ", ".join(f"{name} = {name if key == 'action' else '1.0'}" for name in names)
         meaning = "its action, if that has another name" if key == "action" else "what each earns"
         yield f"# values = {{{pairs}}}  # {meaning}"
+    if key == "reward" and not {"topic", "clock.begin"} & {*found}:
+        yield '# row = "next"  # if each row has the reward of the action in the row before'
 
 
 def _blank_ends(cells: Cells, found: dict[str, str], texts: list[str]) -> list[str]:
