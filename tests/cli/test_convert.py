@@ -268,6 +268,18 @@ def test_a_mapping_is_made_from_a_table_printed_or_written(place, typed):
         assert message in typed("convert", *words).err
 
 
+def test_parts_of_a_table_are_read_in_the_order_of_their_numbers(place):
+    """DuckDB and pandas write data_10 beside data_2, which comes first."""
+    Path("parts").mkdir()
+    for number in (1, 2, 10):
+        rows = {"is_first": [True, False], "is_last": [False, True], "action": ["A", None], "reward": [number, 0.0]}
+        pd.DataFrame(rows | {"observation": 0.5, "is_terminal": rows["is_last"]}).to_parquet(
+            f"parts/data_{number}.parquet"
+        )
+    run("parts", "--step-s", "1", "--out", "out")
+    assert read_logs("out").stages["reward"].tolist() == [1.0, 2.0, 10.0]
+
+
 def test_several_tables_are_read_from_a_folder(place):
     told = refusal("monday.csv", "tuesday.csv", "--mapping", "cell.toml", "--out", "x")
     assert "--mapping is for one SOURCE, and 2 are given; put tables with the same columns, or bags, into one" in told
