@@ -305,3 +305,22 @@ def test_trajectories_of_whole_steps_may_agree(tables):
     stages["reward"] = (stages["reward"] > 0).where(is_completed).astype(float)
     tables["trajectories"]["end_s"] = stages.groupby("trajectory")["stage"].max().to_numpy() - 0.5 * is_cut
     assert found(tables) == {}
+
+
+@pytest.mark.parametrize(("code", "lowest"), [(-1.0, 0.0), (-999.0, 0.0), (-9999.0, -50.0), (65535.0, 0.0)])
+def test_a_number_that_stands_for_nothing_is_told(tables, code, lowest):
+    seen = tables["stages"]["distance"].clip(upper=20.0) + lowest
+    for num, kinds in ((3, {"missing-as-number"}), (2, set())):
+        tables["stages"]["distance"] = np.where(np.arange(len(seen)) % (len(seen) // num) == 1, code, seen)
+        warned = found(tables)
+        assert set(warned) == kinds
+    tables["stages"]["distance"] = np.where(np.arange(len(seen)) % 10 == 0, 0.0, seen + 40.0)
+    assert found(tables) == {}
+
+
+def test_true_in_two_spellings_is_told(tables):
+    words = np.resize(["True", "1", "False", "False"], len(tables["stages"]))
+    tables["stages"]["is_wet"] = words
+    assert found(tables)["truths-mixed"].startswith("covariate is_wet is 'True' and '1' and 'False', each of which")
+    tables["stages"]["is_wet"] = np.where(words == "1", "True", words)
+    assert found(tables) == {}

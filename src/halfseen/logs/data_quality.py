@@ -37,6 +37,7 @@ from halfseen.logs.plausibility import (
     outcomes_among_covariates,
     untrue_probabilities,
 )
+from halfseen.logs.stand_ins import missing_codes, mixed_truths
 from halfseen.suggestions import alike, spelled_out
 
 FEWEST_ROWS, FEWEST_CUTS, FEWEST_TRAJECTORIES = 10, 5, 30
@@ -322,6 +323,8 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "identifier": _identifiers,
     "number-as-text": _numbers_as_text,
     "missing-as-text": _missing_as_text,
+    "missing-as-number": missing_codes,
+    "truths-mixed": mixed_truths,
     "one-action": _one_action,
     "no-alternative": _no_alternative,
     "end-among-causes": _ends_among_causes,
