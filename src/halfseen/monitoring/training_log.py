@@ -92,8 +92,12 @@ def changes_in(logs: Logs, policy: Any, seed: int = 0) -> list[Change]:
     scores = np.column_stack([each.scores for each in watched])
     least, rng = np.array([each.least for each in watched]), np.random.default_rng([seed, 6])
     largest = farthest_apart(scores, least)
-    chance = np.array([farthest_apart(rng.permutation(scores), least).max() for _ in range(NUM_ORDERS)])
-    p = (1.0 + (chance[:, None] >= largest).sum(axis=0)) / (1.0 + NUM_ORDERS)
+    num_beyond = np.zeros(len(largest))
+    for _ in range(NUM_ORDERS):
+        num_beyond += farthest_apart(rng.permutation(scores), least).max() >= largest
+        if (1.0 + num_beyond.min()) / (1.0 + NUM_ORDERS) > ALPHA:  # further orders only add to it
+            return []
+    p = (1.0 + num_beyond) / (1.0 + NUM_ORDERS)
     clearest = np.argsort(-largest, kind="stable")
     found = [_change(logs.trajectory_ids.tolist(), watched[k], float(p[k])) for k in clearest if p[k] <= ALPHA]
     return [replace(each, num_since=int(len(names) - rows[len(rows) - each.num_since])) for each in found]
