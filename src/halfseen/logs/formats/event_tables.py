@@ -25,7 +25,7 @@ from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, JITTER_NS, Even
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
 from halfseen.logs.formats.empty_cells import filled_down, without_missing
 from halfseen.logs.formats.ending_flags import BY, BY_REWARD, LOG_ENDED, are_flags, truths, with_ending
-from halfseen.logs.formats.later_rewards import reward_first, warn_of_first_rewards
+from halfseen.logs.formats.later_rewards import OR_LATER, reward_first, warn_of_first_rewards
 from halfseen.logs.formats.mapping import NUMBERS
 from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells, refuse_empty
 from halfseen.logs.formats.table_mapping import Ending, Entry, EventMapping, read_event_mapping
@@ -82,8 +82,8 @@ def read_event_table(
     found, num_stale = [], 0
     for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
         late.update(event_doubts.late_covariates(events))
-        called = number if name is None else name
-        trajectory = Trajectory(called, needed, finishing, cause=LOG_ENDED, remedy=remedy)
+        trajectory = Trajectory(number if name is None else name, needed, finishing, cause=LOG_ENDED, remedy=remedy)
+        trajectory.remedy_without_action += OR_LATER if wanted.topic is None else ""
         trajectory.follow(events)
         num_stale += wanted.topic is None and event_doubts.is_stale(trajectory, events)
         if is_seen(Path(cells.file), trajectory):

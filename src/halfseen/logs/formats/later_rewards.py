@@ -6,6 +6,9 @@ from typing import Any
 from halfseen.errors import warn
 from halfseen.logs.formats.table_cells import Cells
 
+OR_LATER = ', or set reward.row = "next" if each row has the reward of the action in the row before'
+"""Another remedy for a reward without an action."""
+
 
 def reward_first(values: Sequence[tuple[str, Any]], finishing: Collection[str]) -> list[tuple[str, Any]]:
     """Order the values of a row, by key, so that its reward is of the action in the row before.
