@@ -318,6 +318,17 @@ def test_a_number_that_stands_for_nothing_is_told(tables, code, lowest):
     assert found(tables) == {}
 
 
+@pytest.mark.parametrize("column", ["reward", "distance"])
+def test_a_sign_that_was_lost_is_told(tables, column):
+    stages = tables["stages"]
+    small = stages[column].clip(0.0, 3.0).round()
+    stages[column] = small.mask((np.arange(len(small)) % 7 == 0) & small.notna(), np.uint8(255))
+    assert "is 255 in" in (told := found(tables)["lost-sign"])
+    assert told.endswith("0 to 3 in all others: was -1 written in a type without a sign?")
+    stages[column] = (85.0 * small).mask(small == 2.0, 254.0)
+    assert "lost-sign" not in found(tables)
+
+
 def test_true_in_two_spellings_is_told(tables):
     words = np.resize(["True", "1", "False", "False"], len(tables["stages"]))
     tables["stages"]["is_wet"] = words

@@ -37,7 +37,7 @@ from halfseen.logs.plausibility import (
     outcomes_among_covariates,
     untrue_probabilities,
 )
-from halfseen.logs.stand_ins import missing_codes, mixed_truths
+from halfseen.logs.stand_ins import lost_signs, missing_codes, mixed_truths
 from halfseen.suggestions import alike, spelled_out
 
 FEWEST_ROWS, FEWEST_CUTS, FEWEST_TRAJECTORIES = 10, 5, 30
@@ -324,6 +324,7 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "number-as-text": _numbers_as_text,
     "missing-as-text": _missing_as_text,
     "missing-as-number": missing_codes,
+    "lost-sign": lost_signs,
     "truths-mixed": mixed_truths,
     "one-action": _one_action,
     "no-alternative": _no_alternative,

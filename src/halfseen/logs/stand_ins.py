@@ -1,6 +1,7 @@
-"""Checks for values that stand for others: codes such as -999 of missing numbers, and several spellings of true."""
+"""Checks for values that stand for others: -999 for a missing number, 255 for a -1 without a sign, 1 for true."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -13,24 +14,39 @@ FEWEST_CODES, FEWEST_OTHERS, FEWEST_KINDS = 3, 30, 3
 """Least numbers of rows with a code, of rows without it, and of different values in the latter."""
 CODES = (-99.0, -999.0, -9999.0, -99999.0, -32768.0, 999.0, 9999.0, 99999.0, 32767.0, 65535.0, 1e30)
 """Numbers that programs and sensors write where nothing was measured, beside -1."""
+UNSIGNED = tuple(2.0**bits - 1.0 for bits in (8, 16, 32, 64))
+"""What -1 becomes in a type of whole numbers without a sign."""
 TRUTHS = ("true", "t", "yes", "1", "1.0", "false", "f", "no", "0", "0.0")
 
 
 def missing_codes(logs: Logs) -> Iterator[str]:
     """Find covariates with a number that often stands for nothing, and lies apart from all others."""
     for name, values, _ in covariate_columns(logs):
-        if not is_number(values):
-            continue
-        numbers = values.to_numpy(dtype=np.float64, na_value=np.nan)
-        numbers = numbers[np.isfinite(numbers)]
-        for code in {numbers.min(initial=0.0), numbers.max(initial=0.0)} & {-1.0, *CODES}:
-            others = numbers[numbers != code]
-            if len(numbers) - len(others) >= FEWEST_CODES and _is_apart(float(code), others):
-                yield (
-                    f"{name} is {code:g} in {len(numbers) - len(others)} of {len(values)} rows, and {others.min():.3g} "
-                    f"to {others.max():.3g} in all others: if {code:g} means missing, leave it empty, and choose a "
-                    "fill rule with --missing"
-                )
+        for words, code in _apart(name, values, {-1.0, *CODES}):
+            remedy = "leave it empty, and choose a fill rule with --missing"
+            yield f"{words}: if {code:g} means missing, {remedy}"
+
+
+def lost_signs(logs: Logs) -> Iterator[str]:
+    """Find rewards and covariates with a number that -1 becomes without a sign, apart from all others."""
+    columns = [("reward", logs.stages["reward"]), *((name, values) for name, values, _ in covariate_columns(logs))]
+    for name, values in columns:
+        for words, _ in _apart(name, values.dropna(), {*UNSIGNED} - {*CODES} if name != "reward" else {*UNSIGNED}):
+            yield f"{words}: was -1 written in a type without a sign?"
+
+
+def _apart(name: str, values: Any, codes: Collection[float]) -> Iterator[tuple[str, float]]:
+    """Describe each code that lies apart from all other numbers of a column."""
+    numbers = values.to_numpy(dtype=np.float64, na_value=np.nan) if is_number(values) else np.zeros(0)
+    numbers = numbers[np.isfinite(numbers)]
+    for code in sorted({numbers.min(initial=0.0), numbers.max(initial=0.0)} & {*codes}):
+        others = numbers[numbers != code]
+        if len(numbers) - len(others) >= FEWEST_CODES and _is_apart(float(code), others):
+            range_ = f"{others.min():.3g} to {others.max():.3g} in all others"
+            yield (
+                f"{name} is {code:.10g} in {len(numbers) - len(others)} of {len(values)} rows, and {range_}",
+                float(code),
+            )
 
 
 def _is_apart(code: float, others: Rows) -> bool:
