@@ -94,7 +94,8 @@ def test_a_unit_that_changes_within_the_log_is_told_first(tmp_path):
     first = shell.report("inspect", tmp_path / "logs")["data_warnings"][0]
     assert first["kind"] == "changed-within"
     assert "share in stage 1 is larger than before (mean 59, before 0.491)" in first["sentence"]
-    assert first["sentence"].endswith("since about trajectory 70 (70 to 70), in the last 50")
+    assert "since about trajectory 70 (70 to 70), in the last 50: convert a column" in first["sentence"]
+    assert first["sentence"].endswith("learn with --since 70")
 
 
 def test_a_long_table_is_cut_short_and_json_is_not(tmp_path):

@@ -69,7 +69,9 @@ def _changes(logs: Logs) -> list[dict[str, Any]]:
     """Changes of the cell or of a unit within the log, as `halfseen learn` finds them."""
     names = fit_covariates(logs)
     looks_at = Covariates(tuple(names), learned_categories([logs], names, {}))
-    return [{"kind": "changed-within", "sentence": each.sentence} for each in changes_in(logs, looks_at)]
+    remedy = "convert a column whose unit changed, or learn with --since"
+    found = changes_in(logs, looks_at)
+    return [{"kind": "changed-within", "sentence": f"{each.sentence}: {remedy} {each.since}"} for each in found]
 
 
 def positivity_of(logs: Logs) -> PositivityReport:
