@@ -245,6 +245,10 @@ def test_rows_of_a_database_are_events_too(place):
     )
     told = "table.query: since = 'stage' takes the order of rows, which a database does not keep; add ORDER BY"
     assert told in refusal("sql:sqlite:///cell.db", "--mapping", "order.toml", "--out", "x")
+    filled = Path("order.toml").read_text().replace('since = "stage"', 'since = "trajectory"')
+    Path("order.toml").write_text(filled.replace('"rewarded"', '[""], field = "Text"') + 'table.fill_down = ["Lauf"]\n')
+    told = "table.query: fill_down takes the order of rows"
+    assert told in refusal("sql:sqlite:///cell.db", "--mapping", "order.toml", "--out", "x")
     assert "table.query: it is missing" in refusal("sql:sqlite:///cell.db", "--mapping", "events.toml", "--out", "x")
     assert "put the SELECT into it as table.query" in refusal("sql:sqlite:///cell.db", "--mapping-template")
     for words in (("--out", "x"), ("--out", "x", "--mapping", "cell.toml"), ("--mapping-template",)):
@@ -262,6 +266,18 @@ def test_a_mapping_is_made_from_a_table_printed_or_written(place, typed):
     assert run("--mapping-template").output.startswith("# Which topic of a bag carries what")
     for words, message in (((), "Missing argument 'SOURCE...'"), (("plc.csv",), "Missing option '--out'")):
         assert message in typed("convert", *words).err
+
+
+def test_parts_of_a_table_are_read_in_the_order_of_their_numbers(place):
+    """DuckDB and pandas write data_10 beside data_2, which comes first."""
+    Path("parts").mkdir()
+    for number in (1, 2, 10):
+        rows = {"is_first": [True, False], "is_last": [False, True], "action": ["A", None], "reward": [number, 0.0]}
+        pd.DataFrame(rows | {"observation": 0.5, "is_terminal": rows["is_last"]}).to_parquet(
+            f"parts/data_{number}.parquet"
+        )
+    run("parts", "--step-s", "1", "--out", "out")
+    assert read_logs("out").stages["reward"].tolist() == [1.0, 2.0, 10.0]
 
 
 def test_several_tables_are_read_from_a_folder(place):

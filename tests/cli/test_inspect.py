@@ -87,6 +87,17 @@ def test_what_looks_wrong_is_told_near_the_top_and_in_json(tmp_path):
     assert report["covariates"] == ["lamp"]
 
 
+def test_a_unit_that_changes_within_the_log_is_told_first(tmp_path):
+    share = np.random.default_rng(0).uniform(0.1, 0.9, 120)
+    share = np.where(np.arange(120) < 70, share, 100.0 * share)
+    log_of(trajectory=range(120), action=["A", "B"] * 60, share=share).write(tmp_path / "logs")
+    first = shell.report("inspect", tmp_path / "logs")["data_warnings"][0]
+    assert first["kind"] == "changed-within"
+    assert "share in stage 1 is larger than before (mean 59, before 0.491)" in first["sentence"]
+    assert "since about trajectory 70 (70 to 70), in the last 50: convert a column" in first["sentence"]
+    assert first["sentence"].endswith("learn with --since 70")
+
+
 def test_a_long_table_is_cut_short_and_json_is_not(tmp_path):
     actions = [f"go {k:02d}" for k in range(30)]
     log_of(stage=range(1, 31), elapsed_s=np.arange(1.0, 31.0), action=actions).write(tmp_path / "logs")

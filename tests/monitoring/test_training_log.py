@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from halfseen.evaluation import FixedSequence
-from halfseen.learning import CensoredQLearner
+from halfseen.learning import CensoredQLearner, sample
 from halfseen.logs import Logs
 from halfseen.monitoring.training_log import ALPHA, FEWEST, changes_in, farthest_apart
 from small_logs import table_log
@@ -71,6 +71,12 @@ def test_nothing_is_told_of_one_cell_whoever_decides(policy):
         for one, other in ((early.stages, late.stages), (early.trajectories, late.trajectories))
     ]
     assert changes_in(Logs(*tables), policy) == []
+
+
+def test_the_number_since_is_of_the_whole_log_where_a_sample_is_compared(policy, monkeypatch):
+    monkeypatch.setattr(sample, "MOST_TRAJECTORIES", 120)
+    first = changes_in(cell(["x"]), policy)[0]
+    assert first.num_since == 240 - first.since
 
 
 def test_farthest_apart_is_what_a_loop_over_places_finds():

@@ -126,6 +126,14 @@ def test_the_same_view_gives_the_same_labels_but_for_noise(surfaces, labelled):
             assert len({label.is_dirty for label in labels}) == 1
 
 
+def test_in_the_dark_no_cup_is_called_clean(seen):
+    """A sixteenth of the light leaves hues to noise: stains were missed, and their cups called clean."""
+    picture, view = seen
+    for share, known in ((0.5, {True, False}), (0.06, {None})):
+        dark = replace(picture.cloud, colours=(picture.cloud.colours * share).astype(np.uint8))
+        assert {label.is_dirty for label in StainCounter()(view, dark)} == known
+
+
 def num_stained_at(view, cloud) -> dict:
     """Stained pixels of each object, by where it stands."""
     labels = StainCounter()(view, cloud)

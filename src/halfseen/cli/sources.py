@@ -1,5 +1,6 @@
 """Sources of ``halfseen convert``: their kinds, the options of each kind, and how they are read."""
 
+import re
 import shlex
 from collections.abc import Callable
 from functools import partial
@@ -139,16 +140,20 @@ def tables_of_events(path: Path) -> list[Path]:
 
 def _shown_files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     """Files of a folder by the end of their names, in order; hidden files are passed over."""
-    return sorted(
-        file for file in folder.iterdir() if file.name.lower().endswith(suffixes) and not file.name.startswith(".")
-    )
+    there = [file for file in folder.iterdir() if file.name.lower().endswith(suffixes)]
+    return sorted((file for file in there if not file.name.startswith(".")), key=_in_order)
+
+
+def _in_order(file: Path) -> tuple[list[str | int], str]:
+    """Sort key of a file by its name, with numbers as numbers: part 2 comes before part 10."""
+    return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", file.name))], file.name
 
 
 def _bags(path: Path) -> list[Path]:
     """Bags of a path: the path itself, or those in its folder."""
     if _is_bag(path):
         return [path]
-    return sorted(entry for entry in path.iterdir() if _is_bag(entry)) if path.is_dir() else []
+    return sorted((entry for entry in path.iterdir() if _is_bag(entry)), key=_in_order) if path.is_dir() else []
 
 
 def _is_bag(path: Path) -> bool:
@@ -206,8 +211,10 @@ def _read_sql(url: str, how: Reading, missing: str | None) -> "Logs":
         if is_event_mapping(how.mapping):
             mapping = read_event_mapping(how.mapping)
             query = mapping.table.query
-            if query is not None and mapping.takes_order and "order by" not in " ".join(query.lower().split()):
-                trouble = f"since = {mapping.clock.since!r} takes the order of rows, which a database does not keep"
+            takes = f"since = {mapping.clock.since!r}" if mapping.takes_order else "fill_down"
+            has_order = "order by" in " ".join((query or "").lower().split())
+            if query is not None and not has_order and (mapping.takes_order or mapping.table.fill_down):
+                trouble = f"{takes} takes the order of rows, which a database does not keep"
                 raise ArgumentError(f"{how.mapping}, table.query: {trouble}; add ORDER BY")
             if query is None:
                 raise ArgumentError(f"{how.mapping}, table.query: it is missing; give the SELECT that returns the rows")

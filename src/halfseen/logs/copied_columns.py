@@ -1,4 +1,4 @@
-"""Checks for columns that tell nothing of their own: copies of action or reward, dead sensors, marks of no value."""
+"""Checks for columns that tell nothing of their own: copies of action or reward, and dead sensors."""
 
 from collections.abc import Iterator
 from itertools import groupby
@@ -14,12 +14,6 @@ from halfseen.logs.logs import Logs
 FEWEST_ROWS, FEWEST_STUCK, MOST_REPEATED = 10, 30, 0.02
 """For a copied column and for a sensor that stuck: the least number of rows; and of all other values, the largest share
 that repeats the one before."""
-MARKS = {2.0**bits - less for bits in (15, 16, 31, 32, 63, 64) for less in (0.0, 1.0)}
-"""Sizes of numbers that stand for no value, besides those of nines such as -999."""
-FAR_MARK, FAR = 10.0, 1000.0
-"""Least distance of such a number, and of any, from all others, in ranges of these."""
-FEWEST_OTHERS, MOST_MARKS = 30, 0.5
-"""Least number of other values, and largest share of a suspect one."""
 
 
 def actions_as_covariates(logs: Logs) -> Iterator[str]:
@@ -88,30 +82,3 @@ def constant_covariates(logs: Logs) -> Iterator[str]:
             yield (
                 f"{name} is {shown(values.iloc[0])} in all {len(values)} rows: a dead sensor, or a column to leave out"
             )
-
-
-def far_values(logs: Logs) -> Iterator[str]:
-    """Find a number far from all others of its column: it may stand for no value, or be in another unit."""
-    for name, values, _ in covariate_columns(logs):
-        for words, _ in _far_from_all(values):
-            yield f"{name} is {words}: if that stands for no value, leave it empty, and choose a fill rule (--missing)"
-    for words, is_earned in _far_from_all(logs.stages["reward"]):
-        if not is_earned:
-            yield f"the reward is {words}, and decides what is learned: if it was not earned, mend it or leave it out"
-
-
-def _far_from_all(values: Any) -> Iterator[tuple[str, bool]]:
-    """Describe the least or largest number if it is far from all others; and whether it may be earned repeatedly."""
-    if not is_number(values):
-        return
-    distinct, counts = np.unique(values.dropna().to_numpy(dtype=np.float64), return_counts=True)
-    total = int(counts.sum())
-    for k, others in ((0, distinct[1:]), (-1, distinct[:-1])):
-        if len(others) < 2 or total - counts[k] < FEWEST_OTHERS or counts[k] > MOST_MARKS * total:
-            continue
-        size, reach = abs(float(distinct[k])), float(np.ptp(others))
-        is_mark = size in MARKS or (size > 99.0 and set(f"{size:.15g}") == {"9"})
-        times = FAR_MARK if is_mark else FAR
-        if np.abs(others - distinct[k]).min() > times * reach:
-            where, is_earned = f"{distinct[k]:.6g} in {counts[k]} of {total} rows", not is_mark and bool(counts[k] > 1)
-            yield f"{where}, over {times:,.0f} times as far from all others as these are apart", is_earned

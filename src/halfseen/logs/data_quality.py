@@ -19,7 +19,6 @@ from halfseen.logs.columns import shown
 from halfseen.logs.copied_columns import (
     actions_as_covariates,
     constant_covariates,
-    far_values,
     is_copy_of,
     rewards_as_covariates,
     stuck_sensors,
@@ -35,6 +34,7 @@ from halfseen.logs.plausibility import (
     outcomes_among_covariates,
     untrue_probabilities,
 )
+from halfseen.logs.stand_ins import mixed_truths, stand_ins
 from halfseen.suggestions import alike, spelled_out
 
 FEWEST_ROWS, FEWEST_CUTS, FEWEST_TRAJECTORIES = 10, 5, 30
@@ -300,6 +300,8 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "identifier": _identifiers,
     "number-as-text": _numbers_as_text,
     "missing-as-text": _missing_as_text,
+    "stand-in": stand_ins,
+    "truths-mixed": mixed_truths,
     "one-action": _one_action,
     "no-alternative": _no_alternative,
     "end-among-causes": _ends_among_causes,
@@ -321,6 +323,5 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "equal-rewards": _equal_rewards,
     "constant-covariate": constant_covariates,
     "stuck-sensor": stuck_sensors,
-    "far-value": far_values,
     "duplicated-trajectories": copied_trajectories,
 }

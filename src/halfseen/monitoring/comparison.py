@@ -209,8 +209,7 @@ def _hidden(past: Courses, learned: _Learned) -> Float[np.ndarray, " 2"]:
         of = _of_arm(past, arm)
         weight = 1.0 if survival is None else _weight_at(past.end_s[of], survival, learned.smallest)
         lost.append(max(0.0, 1.0 - float((past.is_finished[of] * weight).mean())))
-    first = np.searchsorted(past.trajectory, np.arange(past.num))
-    worth = _values(past, learned)[2, first].mean()
+    worth = _values(past, learned)[2, np.searchsorted(past.trajectory, np.arange(past.num))].mean()
     low, high = learned.range
     return np.array([lost, lost[::-1]]) @ [high - worth, worth - low]
 

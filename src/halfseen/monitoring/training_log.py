@@ -9,7 +9,7 @@ this test has more power than anytime-valid bets.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ import pandas as pd
 from halfseen.censoring import KaplanMeier
 from halfseen.learning.covariates import Covariates
 from halfseen.learning.rows import stage_places
+from halfseen.learning.sample import sampled
 from halfseen.logs import Logs
 from halfseen.monitoring.diagnosis import change_point, part_words
 from halfseen.monitoring.monitor import looks_at_of
@@ -75,24 +76,31 @@ def changes_in(logs: Logs, policy: Any, seed: int = 0) -> list[Change]:
     Parameters
     ----------
     logs
-        The log, with its trajectories in order.
+        The log, with its trajectories in order; of a long one, a sample is compared.
     policy
-        Policy that was learned from it, which defines the covariates. States are not compared for policies of tables,
-        nor with more than `MOST_FEATURES` features.
+        Policy that was learned from it, which defines the covariates; or these covariates. States are not compared for
+        policies of tables, nor with more than `MOST_FEATURES` features.
     seed
         Seed of the permutations.
     """
-    looks_at = looks_at_of(policy)
+    rows, names = sampled(logs.num_trajectories, seed), logs.trajectory_ids
+    logs = logs if len(rows) == len(names) else logs.select(names[rows])
+    looks_at = policy if isinstance(policy, Covariates) else looks_at_of(policy)
     if looks_at.num_features > MOST_FEATURES:
         looks_at = Covariates(())
     watched = [*_first_states(logs, looks_at), *_parts(logs, looks_at), _cuts(logs)]
     scores = np.column_stack([each.scores for each in watched])
     least, rng = np.array([each.least for each in watched]), np.random.default_rng([seed, 6])
     largest = farthest_apart(scores, least)
-    chance = np.array([farthest_apart(rng.permutation(scores), least).max() for _ in range(NUM_ORDERS)])
-    p = (1.0 + (chance[:, None] >= largest).sum(axis=0)) / (1.0 + NUM_ORDERS)
+    num_beyond = np.zeros(len(largest))
+    for _ in range(NUM_ORDERS):
+        num_beyond += farthest_apart(rng.permutation(scores), least).max() >= largest
+        if (1.0 + num_beyond.min()) / (1.0 + NUM_ORDERS) > ALPHA:  # further orders only add to it
+            return []
+    p = (1.0 + num_beyond) / (1.0 + NUM_ORDERS)
     clearest = np.argsort(-largest, kind="stable")
-    return [_change(logs.trajectory_ids.tolist(), watched[k], float(p[k])) for k in clearest if p[k] <= ALPHA]
+    found = [_change(logs.trajectory_ids.tolist(), watched[k], float(p[k])) for k in clearest if p[k] <= ALPHA]
+    return [replace(each, num_since=int(len(names) - rows[len(rows) - each.num_since])) for each in found]
 
 
 def _change(names: list[Any], watched: WatchedValue, p_value: float) -> Change:
@@ -123,9 +131,9 @@ def farthest_apart(scores: Float[np.ndarray, "n S"], least: Float[np.ndarray, " 
 def _first_states(logs: Logs, looks_at: Covariates) -> Iterator[WatchedValue]:
     """Ranks of the covariates of the first stage; ranks limit the influence of outliers."""
     first: Any = logs.stages[logs.stages["stage"] == 1]
-    states = pd.DataFrame(looks_at.encode(first)).rank().to_numpy()
-    for name, ranks in zip(looks_at.names, states.T, strict=True):
-        yield WatchedValue(ranks, partial(_says_larger, f"{name} in stage 1", ranks, np.arange(len(ranks))))
+    states = looks_at.encode(first)
+    for name, values, ranks in zip(looks_at.names, states.T, pd.DataFrame(states).rank().to_numpy().T, strict=True):
+        yield WatchedValue(ranks, partial(_says_first, name, values, ranks))
 
 
 def _parts(logs: Logs, looks_at: Covariates) -> Iterator[WatchedValue]:
@@ -164,6 +172,11 @@ def _cuts(logs: Logs) -> WatchedValue:
     scores = ~logs.is_finished + np.log(np.where(left > 0, left, before))
     more = partial(_more, scores, np.arange(len(scores)))
     return WatchedValue(scores, lambda at: f"cuts are {'more' if more(at) > 0 else 'less'} frequent than before")
+
+
+def _says_first(name: str, values: Float[np.ndarray, " n"], ranks: Float[np.ndarray, " n"], at: int) -> str:
+    words = _says_larger(f"{name} in stage 1", ranks, np.arange(len(ranks)), at)
+    return f"{words} (mean {values[at:].mean():.3g}, before {values[:at].mean():.3g})"
 
 
 def _says_larger(name: str, values: Float[np.ndarray, " m"], place: Int[np.ndarray, " m"], at: int) -> str:

@@ -60,6 +60,7 @@ FACING_SHARE = 0.3
 _NOISE = 6.0
 # A picture with fewer pixels whose channels differ by more than this is grey, or was never filled in; it tells nothing.
 _GREY, _LEAST_COLOURED = 1, 0.01
+_DARK = 20.0  # median of an object, of 255, below which over half of the stains that show in full light are missed
 
 WORDS = {True: "dirty", False: "clean", None: "unknown"}
 
@@ -122,7 +123,7 @@ class StainCounter:
     object's own hue, the median over its pixels, by a margin that noise rarely exceeds. A stain on a glaze of the same
     brown is not detected. If half of an object's pixels are farther than the margin from that median, the object has a
     pattern and no hue of its own to compare with stains; it is not labelled. Nor is one with pixels so
-    wide that a stain has too few of them.
+    wide that a stain has too few of them, or so dark that they have no hue.
 
     Parameters
     ----------
@@ -153,7 +154,8 @@ class StainCounter:
     def _label(self, seen: SeenObject, colours: UInt8[np.ndarray, "px 3"], image: RangeImage) -> Label:
         num_stained = int(self.is_stained(colours).sum())
         width_m = np.median(image.depth_m.ravel()[seen.pixels]) / image.intrinsics[0, 0]
-        can_tell = len(colours) >= self.fewest_px and width_m <= self.widest_m and not self.is_patterned(colours)
+        is_lit = np.median(colours.mean(axis=1)) >= _DARK if len(colours) >= self.fewest_px else False
+        can_tell = bool(is_lit) and width_m <= self.widest_m and not self.is_patterned(colours)
         is_dirty = num_stained >= self.fewest_px if can_tell else None
         return Label(is_dirty, share_in_view(seen), num_stained, len(colours))
 

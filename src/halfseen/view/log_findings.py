@@ -9,9 +9,11 @@ import pandas as pd
 from halfseen.arrays import RowMask
 from halfseen.censoring import KaplanMeier, positivity_report, stage_weights, weight_diagnostics
 from halfseen.censoring.positivity import PositivityReport
+from halfseen.learning.covariates import Covariates, fit_covariates, learned_categories
 from halfseen.logs import Logs
 from halfseen.logs.data_quality import data_warnings
 from halfseen.logs.grouping import by_action, by_cause, by_robot, by_stage
+from halfseen.monitoring.training_log import changes_in
 from halfseen.shapes import Float, Int
 
 NUM_RISK_TIMES = 7
@@ -33,7 +35,7 @@ def log_findings(logs: Logs, positivity: PositivityReport) -> dict[str, Any]:
         "covariates": logs.stage_covariates,
         "object_covariates": [] if objects is None else [*objects.columns.drop(["trajectory", "stage", "object"])],
         "trajectory_columns": logs.trajectory_columns,
-        "data_warnings": [asdict(warning) for warning in data_warnings(logs)],
+        "data_warnings": [*_changes(logs), *(asdict(warning) for warning in data_warnings(logs))],
         "finishes": _finishes(logs),
         "cuts": by_cause(logs),
         "choices": by_action(logs),
@@ -61,6 +63,15 @@ def log_findings(logs: Logs, positivity: PositivityReport) -> dict[str, Any]:
             for stage, worth in enumerate(stages, start=1)
         ],
     }
+
+
+def _changes(logs: Logs) -> list[dict[str, Any]]:
+    """Changes of the cell or of a unit within the log, as `halfseen learn` finds them."""
+    names = fit_covariates(logs)
+    looks_at = Covariates(tuple(names), learned_categories([logs], names, {}))
+    remedy = "convert a column whose unit changed, or learn with --since"
+    found = changes_in(logs, looks_at)
+    return [{"kind": "changed-within", "sentence": f"{each.sentence}: {remedy} {each.since}"} for each in found]
 
 
 def positivity_of(logs: Logs) -> PositivityReport:

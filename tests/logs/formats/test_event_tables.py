@@ -101,6 +101,41 @@ ending = {field = "over", finished = ["yes"]}
         read_table(text.replace("00:00:12Z", "00:00:02Z"), mapping)
 
 
+OBSERVED = """
+clock = {field = "t", unit = "s"}
+trajectory = {field = "run"}
+action = {field = "tool"}
+reward = {field = "worth", row = "next"}
+ending = {field = "over", finished = ["done"]}
+covariates.x = {field = "x"}
+"""
+STAGES_OBSERVED = OBSERVED.replace(', row = "next"', "").replace('unit = "s"', 'unit = "s", since = "trajectory"')
+
+
+def test_a_reward_may_stand_in_the_row_after_its_action(read_table):
+    rows = ["1,0,.1,left,0,", "1,1,.2,right,1.5,", "1,2.5,.3,right,2.5,done", "2,7,.4,left,0,", "2,9,.5,right,-1,stop"]
+    logs = read_table("run,t,x,tool,worth,over\n" + "\n".join(rows) + "\n", OBSERVED)
+    assert logs.stages["action"].tolist() == ["left", "right", "left", "right"]
+    assert logs.stages["reward"].tolist()[:3] == [1.5, 2.5, -1.0]
+    assert logs.stages["elapsed_s"].tolist()[:3] == [1.0, 2.5, 2.0]
+    assert logs.stages["x"].tolist() == [0.1, 0.2, 0.4, 0.5]
+    assert ends(logs) == [(1, 2.5, "finished", None), (2, 2.0, "cut", "stop")]
+    with refused(r'line 4: .* with no action before it; record every action, or set reward\.row = "next" if'):
+        read_table("run,t,x,tool,worth,over\n1,1,.1,a,0,\n1,2,.2,b,1,\n1,3,.3,,2,done\n", STAGES_OBSERVED)
+    with pytest.warns(HalfseenWarning, match=r"line 2: its reward is left out, as in 1 first rows .* reward\.row"):
+        read_table("run,t,x,tool,worth,over\n" + "\n".join(rows).replace("left,0", "left,4", 1) + "\n", OBSERVED)
+
+
+def test_empty_cells_may_repeat_the_cell_above(read_table):
+    merged = WIDE.replace("a,soft", ",soft").replace("b,suction", ",suction")
+    with refused(r"column 'run': '' is not a valid trajectory; .* fill_down = \[\"run\"\] in \[table\]"):
+        read_table(merged, STAGES)
+    filled = STAGES + 'table.fill_down = ["run"]'
+    assert read_table(merged, filled).trajectories.equals(read_table(WIDE, STAGES).trajectories)
+    with refused("line 2, column 'run': '' has no cell above it to repeat"):
+        read_table(merged.replace("a,suction", ",suction"), filled)
+
+
 def test_a_plcs_log_with_begin_and_end_events(read_table):
     logs = read_table(PLC, BEGUN)
     assert stages(logs, "clutter") == [

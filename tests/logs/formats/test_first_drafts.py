@@ -134,6 +134,12 @@ def test_a_time_that_lasts_needs_no_unit(read_table):
     assert read_table(text, mapping.replace('unit = "s", ', "")).stages["elapsed_s"].tolist() == [8.0, 93600.0]
 
 
+def test_minutes_and_seconds_are_no_times_of_day(draft):
+    rows = "".join(f"{run},{tool},{took},1,\n" for run, tool, took in (("a", "x", "1:30"), ("a", "y", "0:45")))
+    text = f"run,tool,took,worth,stop\n{rows}"
+    draft(text, 'unit = "min"  # guess: of minutes and seconds, as in 1:30; "h" of hours and minutes')
+
+
 def test_durations_of_a_workbook_are_days_and_a_clock_on_the_wall_counts_from_nothing(draft):
     days = [repr(seconds / 86400.0) for seconds in (8, 19, 75, 90061)]
     draft(TIMES.format(name="duration", times=days), 'unit = "d"  # guess: s, ms, us, ns, min, h or d')

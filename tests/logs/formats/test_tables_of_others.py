@@ -199,6 +199,21 @@ def test_durations_may_be_hours_minutes_and_seconds(read_table):
     mapping = PLAIN.replace(', unit = "ms"', "")
     logs = read_table("run;tool;ms;worth;stop\n" + "".join(rows), mapping)
     assert logs.end_s.tolist() == [1.5, 90.0, 94200.25, 172801.5]
-    for text in ("1:30", "0:61:00", "-0:00:01", "12"):
+    for text in ("1:61", "0:61:00", "-0:00:01", "12"):
         with refused(rf"line 2, column 'ms': '{text}' counts since a beginning; set clock\.unit"):
             read_table(f"run;tool;ms;worth;stop\na;x;{text};1;\n", mapping)
+
+
+def test_durations_in_two_parts_have_the_unit_of_the_first(read_table):
+    def read(texts, clock=""):
+        rows = [f"r{k};x;{text};1;\n" for k, text in enumerate(texts)]
+        return read_table("run;tool;ms;worth;stop\n" + "".join(rows), PLAIN.replace(', unit = "ms"', clock))
+
+    assert read(["1:30", "75:00,5", "1:00:05"], ', unit = "min"').end_s.tolist() == [90.0, 4500.5, 3605.0]
+    assert read(["1:30", "1:00:05"], ', unit = "h"').end_s.tolist() == [5400.0, 3605.0]
+    with refused("line 2, column 'ms': '1:30' has two parts; set clock.unit = \"min\" for minutes and seconds, or"):
+        read(["1:30"])
+    with refused('line 2, .* set clock.unit = "min" or "h", that of its first part'):
+        read(["1:30"], ', unit = "s"')
+    with refused("line 3, column 'ms': '45' has no colon or is no duration, but others are"):
+        read(["1:30", "45"], ', unit = "min"')

@@ -1,9 +1,11 @@
 """Sheets of workbooks: XlsxWriter 3.2 wrote the file as Excel does; what comes out was worked out by hand."""
 
+import re
 import warnings
 import zipfile
 from pathlib import Path
 
+import openpyxl
 import pytest
 
 from event_files import TRIAL, ends, stages
@@ -130,3 +132,21 @@ def test_cells_far_apart_and_entities_without_end_are_refused(tmp_path, monkeypa
         texts = book.read("xl/sharedStrings.xml")
     with refused(r"it is not a complete table \(.*amplification"):
         read(tmp_path, OF_TRIAL + 'table.sheet = "Runs"', changed(tmp_path, "xl/sharedStrings.xml", texts, bomb))
+
+
+def test_formulas_that_nobody_computed_are_warned_of(tmp_path):
+    """openpyxl and pandas write formulas alone; Excel writes an empty text as their value."""
+    book = openpyxl.Workbook()
+    for row in (["run", "stop"], ["a", '=IF(1,"ok","")'], ["b", "=B2"]):
+        book.active.append(row)
+    book.save(tmp_path / "a.xlsx")
+    with pytest.warns(HalfseenWarning, match="formulas without a value count as empty, that of B2 first of 2; open"):
+        assert rows_of_sheet(tmp_path / "a.xlsx", None)[2] == ["a", ""]
+    part = "xl/worksheets/sheet1.xml"
+    with zipfile.ZipFile(tmp_path / "a.xlsx") as old, zipfile.ZipFile(tmp_path / "b.xlsx", "w") as new:
+        for name in old.namelist():
+            content = old.read(name)
+            new.writestr(name, re.sub(rb'(<c r="B[23]")', rb'\1 t="str"', content) if name == part else content)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert rows_of_sheet(tmp_path / "b.xlsx", None)[2] == ["a", ""]

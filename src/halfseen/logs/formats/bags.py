@@ -246,6 +246,8 @@ class Trajectory:
     """Place of the last event, for messages."""
     remedy: str = "map [trajectory], the message that begins a trajectory, if there are several"
     """Remedy for events after an ending, for messages."""
+    remedy_without_action: str = "record every action"
+    """Remedy for a reward without an action, for messages."""
 
     @property
     def missing(self) -> list[str]:
@@ -296,7 +298,7 @@ class Trajectory:
     def _complete(self, stage: dict[str, Any], event: Event) -> None:
         if "action" not in stage:
             self._refuse(
-                f"reward {event.value} comes at {self.end_s:g} s with no action before it; record every action"
+                f"reward {event.value} comes at {self.end_s:g} s with no action before it; {self.remedy_without_action}"
             )
         self._add({**stage, "elapsed_s": self.end_s, "reward": float(event.value)})
         if self.missing:

@@ -35,6 +35,14 @@ def refuse_rounded(cells: Cells, rows: Sequence[int], column: str) -> None:
         cells.refuse(row, column, "is a rounded number that may stand for several names; export the column as text")
 
 
+def refuse_blank(cells: Cells, rows: Sequence[int], column: str, key: str) -> None:
+    """Refuse an empty cell where there must be a name (`LogError`)."""
+    row = next((row for row in rows if not cells.columns[column][row]), None)
+    if row is not None:
+        merged = f'set fill_down = ["{column}"] in [table] if it repeats the cell above'
+        cells.refuse(row, column, f"is not a valid {key}; give one, leave the row out, or {merged}")
+
+
 def refuse_unset(cells: Cells, stamps: Stamps, clock: Clock) -> None:
     """Refuse times of the first day of 1970 or before beside dates of this century (`LogError`)."""
     if len(stamps) and stamps.max() >= EARLIEST_DATE_NS and stamps.min() < NANOSECONDS["d"]:

@@ -23,9 +23,11 @@ from halfseen.logs.columns import shown
 from halfseen.logs.formats import event_doubts, table_values
 from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, JITTER_NS, Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
+from halfseen.logs.formats.empty_cells import filled_down, without_missing
 from halfseen.logs.formats.ending_flags import BY, BY_REWARD, LOG_ENDED, are_flags, truths, with_ending
+from halfseen.logs.formats.later_rewards import OR_LATER, reward_first, warn_of_first_rewards
 from halfseen.logs.formats.mapping import NUMBERS
-from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells, refuse_empty, without_missing
+from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells, refuse_empty
 from halfseen.logs.formats.table_mapping import Ending, Entry, EventMapping, read_event_mapping
 from halfseen.logs.formats.table_values import Marks, Stamps
 from halfseen.logs.formats.wide_tables import one_row_a_stage
@@ -64,7 +66,10 @@ def read_event_table(
         stages.
     """
     wanted, file = read_event_mapping(mapping), str(mapping)
-    cells = cells_of(place, source) if isinstance(source, pa.Table) else _read_files(source, wanted)
+    if isinstance(source, pa.Table):
+        cells = filled_down(cells_of(place, source), wanted.table.fill_down)
+    else:
+        cells = _read_files(source, wanted)
     cells, wanted = one_row_a_stage(without_missing(refuse_empty(cells), wanted.table.missing), wanted, file)
     cells, wanted = with_ending(refuse_empty(cells), wanted, file)
     _check_columns(cells, wanted, file)
@@ -77,8 +82,8 @@ def read_event_table(
     found, num_stale = [], 0
     for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
         late.update(event_doubts.late_covariates(events))
-        called = number if name is None else name
-        trajectory = Trajectory(called, needed, finishing, cause=LOG_ENDED, remedy=remedy)
+        trajectory = Trajectory(number if name is None else name, needed, finishing, cause=LOG_ENDED, remedy=remedy)
+        trajectory.remedy_without_action += OR_LATER if wanted.topic is None else ""
         trajectory.follow(events)
         num_stale += wanted.topic is None and event_doubts.is_stale(trajectory, events)
         if is_seen(Path(cells.file), trajectory):
@@ -93,9 +98,9 @@ def read_event_table(
 def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> Cells:
     """Read one file, or several and concatenate their rows."""
     if isinstance(source, str | Path):
-        return read_cells(Path(source), mapping.table)
+        return filled_down(read_cells(Path(source), mapping.table), mapping.table.fill_down)
     tables = [read_cells(file, mapping.table) for file in source if not file.is_file() or file.stat().st_size]
-    tables = [each for each in tables if len(each.rows)]
+    tables = [filled_down(each, mapping.table.fill_down) for each in tables if len(each.rows)]
     if empty := sorted({*map(str, source)} - {each.file for each in tables}):
         warn(empty[0], f"{len(empty)} of {len(source)} files have no rows, and are skipped; this is the first")
     if not tables:
@@ -167,10 +172,12 @@ def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tu
     marks = table_values.marks_of(cells, _columns_of_numbers(mapping))
     stamps, begins = _times(cells, mapping, marks, file)
     values_of = _values(cells, mapping, marks)
-    has_begins, since, ending_texts = mapping.has_begins, mapping.clock.since, cells.columns[mapping.column("ending")]
+    has_begins, since, finishing = mapping.has_begins, mapping.clock.since, mapping.ending.finishing
+    ending_texts = cells.columns[mapping.column("ending")]
     groups = _groups(cells, mapping, values_of, stamps)
     event_doubts.warn_of_rows_apart(cells, groups, mapping)
     event_doubts.warn_of_reordered(cells, groups, stamps, mapping)
+    early: list[int] = []
     for name, unordered in groups.items():
         rows, times = _in_order(unordered, stamps, mapping)
         events = [] if begins is None or has_begins else [Event(int(begins[rows[0]]), "begin", None)]
@@ -179,6 +186,10 @@ def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tu
             # An empty ending counts only in the last row: nothing ended the trajectory.
             is_blank = not mapping.ending.topics and not ending_texts[row] and row != rows[-1]
             here = [pair for pair in values_of[row] if not (is_blank and pair[0] == "ending")]
+            if mapping.is_rewarded_later:
+                here = reward_first(here, finishing)
+                if row == rows[0] and here[:1] and here[0][0] == "reward":
+                    early += [row] if here.pop(0)[1] else []
             events += [Event(time, key, value, place) for key, value in here]
             events += [] if has_begins else [Event(time, "row", None, place)]
         if not has_begins:
@@ -187,6 +198,7 @@ def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tu
         event_doubts.warn_of_early(cells, events)
         for begun, following in split(Path(cells.file), [events], mapping.column("trajectory"), file):
             yield begun, following if since is None else [Event(0, "begin", None), *following]
+    warn_of_first_rewards(cells, early)
 
 
 def _columns_of_numbers(mapping: EventMapping) -> list[str]:
@@ -256,9 +268,8 @@ def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int]
             else table_values.number_at(cells, row, column, marks)
             for row in rows
         ]
-    for row in rows:
-        if not texts[row] and "" not in known and key != "ending" and not is_covariate:
-            cells.refuse(row, column, f"is not a valid {key}; give one, or leave the row out")
+    if key != "ending" and not is_covariate and "" not in known:
+        event_doubts.refuse_blank(cells, rows, column, key)
     if is_covariate and entry.type is None:
         table_values.refuse_most_numbers(cells, [row for row in rows if texts[row] not in known], column)
     event_doubts.refuse_missing_like(cells, rows, column, named, key)

@@ -15,6 +15,8 @@ from halfseen.logs.columns import STAGE_COLUMNS, shown
 from halfseen.logs.folder import TEXT_FILES, WORKBOOKS
 from halfseen.logs.formats import guesses
 from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS
+from halfseen.logs.formats.durations import LASTED_SHORT, is_duration
+from halfseen.logs.formats.empty_cells import without_missing
 from halfseen.logs.formats.guesses import Guesses, are_numbers
 from halfseen.logs.formats.table_cells import (
     ROW,
@@ -23,11 +25,9 @@ from halfseen.logs.formats.table_cells import (
     kind_of_table,
     read_cells,
     refuse_empty,
-    without_missing,
 )
 from halfseen.logs.formats.table_mapping import TextLayout
 from halfseen.logs.formats.table_values import (
-    LASTED,
     MISSING_TEXTS,
     NANOSECONDS,
     TIME_OF_DAY,
@@ -136,7 +136,7 @@ def _clock_lines(table: Guesses, has_topic: bool) -> Iterator[str]:
     yield time("clock.field")
     formats = guesses.date_formats(texts)
     begin = time("clock.begin") if "clock.begin" in found else None
-    are_lasting = not has_topic and begin is None and all(map(LASTED.fullmatch, texts)) and not _runs_on(table, texts)
+    are_lasting = not has_topic and begin is None and all(map(is_duration, texts)) and not _runs_on(table, texts)
     if not formats or are_lasting:
         yield from _count_lines(table, texts, begin, has_topic)
         return
@@ -155,7 +155,9 @@ def _clock_lines(table: Guesses, has_topic: bool) -> Iterator[str]:
 
 def _count_lines(table: Guesses, texts: Sequence[str], begin: str | None, has_topic: bool) -> Iterator[str]:
     """Lines of a clock of numbers, or of hours, minutes and seconds since a beginning."""
-    if not all(map(LASTED.fullmatch, texts)):
+    if any(map(LASTED_SHORT.fullmatch, texts)):
+        yield 'unit = "min"  # guess: of minutes and seconds, as in 1:30; "h" of hours and minutes'
+    elif not all(map(is_duration, texts)):
         unit = _unit(table.found["clock.field"], texts)
         yield f'unit = "{unit}"  # guess: s, ms, us, ns, min, h or d'
         earliest = min((parts[0] for parts in map(_parts, texts) if parts), default=0.0)
@@ -237,6 +239,8 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
         pairs = ", ".join(f"{name} = {name if key == 'action' else '1.0'}" for name in names)
         meaning = "its action, if that has another name" if key == "action" else "what each earns"
         yield f"# values = {{{pairs}}}  # {meaning}"
+    if key == "reward" and not {"topic", "clock.begin"} & {*found}:
+        yield '# row = "next"  # if each row has the reward of the action in the row before'
 
 
 def _blank_ends(cells: Cells, found: dict[str, str], texts: list[str]) -> list[str]:

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from halfseen.logs.formats.durations import is_duration
 from halfseen.logs.formats.ending_flags import are_flags
 from halfseen.logs.formats.table_cells import ROW, Cells
-from halfseen.logs.formats.table_values import ISO, LASTED, WHOLE, dates_and_times, is_numeric, joined
+from halfseen.logs.formats.table_values import ISO, WHOLE, dates_and_times, is_numeric, joined
 from halfseen.logs.formats.wide_tables import STAGE, reshaped, staged_columns, stages_of
 from halfseen.reading import toml_of
 
@@ -177,7 +178,7 @@ def are_numbers(texts: Iterable[str]) -> bool:
 
 
 def _are_times(texts: Sequence[str]) -> bool:
-    return all(map(is_numeric, texts)) or all(map(LASTED.fullmatch, texts)) or bool(date_formats(texts))
+    return all(map(is_numeric, texts)) or all(map(is_duration, texts)) or bool(date_formats(texts))
 
 
 def _are_words(texts: Sequence[str]) -> bool:

@@ -9,8 +9,8 @@ import gzip
 import io
 import json
 import re
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from statistics import mode
@@ -281,14 +281,6 @@ def _checked(cells: Cells, names: list[str]) -> Cells:
     if "" in names:
         raise LogError(f"{cells.file}: column {names.index('') + 1} has no name; give it one, or set table.heading")
     return cells
-
-
-def without_missing(cells: Cells, missing: Collection[str]) -> Cells:
-    """Empty the cells whose text means a missing value."""
-    if not missing:
-        return cells
-    columns = {name: ["" if text in missing else text for text in texts] for name, texts in cells.columns.items()}
-    return replace(cells, columns=columns)
 
 
 def refuse_empty(cells: Cells) -> Cells:

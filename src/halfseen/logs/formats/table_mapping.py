@@ -29,6 +29,8 @@ class TextLayout(msgspec.Struct, **Given):
     """For a database, the SELECT whose rows are read."""
     missing: list[str] = []
     """Texts that mean an empty cell, such as ``NA``."""
+    fill_down: list[str] = []
+    """Columns whose empty cells repeat the cell above, as below merged cells."""
 
 
 class Clock(msgspec.Struct, **Given):
@@ -75,6 +77,8 @@ class Entry(msgspec.Struct, **Given):
     """Replacements for texts; other text is kept."""
     type: Literal["number", "text"] | None = None
     """Type of a covariate; None to detect it."""
+    row: Literal["next"] | None = None
+    """"next" for a reward that stands in the row after its action; None for the row of the action."""
 
     @property
     def topics(self) -> list[str]:
@@ -150,6 +154,11 @@ class EventMapping(Parts[Entry], kw_only=True, **Given):
         return self.clock.since == "stage" or (self.clock.since is not None and self.has_begins)
 
     @property
+    def is_rewarded_later(self) -> bool:
+        """Whether each row has the reward of the action in the row before."""
+        return self.reward.row is not None
+
+    @property
     def has_begins(self) -> bool:
         """Whether an event begins a trajectory."""
         return self.trajectory is not None and bool(self.trajectory.topics)
@@ -201,8 +210,14 @@ def _troubles_of_table(mapping: EventMapping) -> Iterator[tuple[str, str]]:
          "%Z is the name of a zone, which is not read; use %z for offsets, or set clock.zone"),
         ("I" in parts and "p" not in parts, "clock.format",
          "%I is an hour from 1 to 12, which needs %p; use %H, or add %p"),
-        (topic is None and clock.since is None and clock.begin is None, "clock.begin",
-         "it is missing; name the column of a stage's beginning, or set since"),
+        (mapping.is_rewarded_later
+         and (topic is not None or wide is not None or clock.begin is not None or clock.since == "stage"
+              or ending.finished == "rewarded"), "reward.row",
+         "it is for rows that each have their own time, without topic, wide, begin, since = 'stage' or 'rewarded'; "
+         "leave it out"),
+        (topic is None and clock.since is None and clock.begin is None and not mapping.is_rewarded_later, "clock.begin",
+         "it is missing; name the column of a stage's beginning, or set since; if only ends were logged, add a column "
+         "of beginnings, such as the end in the row before"),
         (clock.since is not None and clock.begin is not None, "clock",
          f"since = {clock.since!r} and begin = {clock.begin!r} both define when it begins; leave one out"),
         (topic is not None and (clock.since == "stage" or clock.begin is not None), "clock",
@@ -217,6 +232,8 @@ def _troubles_of_table(mapping: EventMapping) -> Iterator[tuple[str, str]]:
         if is_wrong:
             yield key, trouble
     for key, entry in mapping.entries.items():
+        if entry.row is not None and key != "reward":
+            yield f"{key}.row", "it is for a reward; leave it out"
         is_derived = isinstance(entry, Ending) and entry.is_derived
         if topic is None and entry.topic is not None:
             yield f"{key}.topic", "no column of events is named; add topic = 'COLUMN' at the top"

@@ -13,6 +13,7 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, warn
 from halfseen.logs.columns import first_true, shown
+from halfseen.logs.formats.durations import LASTED, LASTED_SHORT, are_durations, durations_ns
 from halfseen.logs.formats.table_cells import Cells
 from halfseen.logs.formats.table_mapping import Clock
 from halfseen.reading import reason_of
@@ -159,7 +160,6 @@ def refuse_most_numbers(cells: Cells, rows: Sequence[int], column: str) -> None:
 
 NANOSECONDS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9, "d": 86400 * 10**9}
 ISO = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?)?( ?(Z|[+-]\d\d(:?\d\d)?))?")
-LASTED = re.compile(r"(?:(\d{1,4}) days? ?)?(\d{1,4}):([0-5]\d):([0-5]\d)(?:[.,](\d{1,9}))?")
 _ZONED = re.compile(r":.*(Z|[+-]\d\d(?::?\d\d)?)$")
 _HOUR_NS = 3600 * 10**9
 _DAY_ALONE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}")
@@ -185,10 +185,10 @@ def stamps_ns(cells: Cells, columns: Sequence[str], clock: Clock, marks: Marks) 
     """
     cells, column = joined(cells, columns)
     texts = cells.columns[column]
+    if (clock.unit or clock.since) is not None and are_durations(cells, column, clock.unit):
+        return durations_ns(cells, column, clock.unit)
     if clock.unit is not None:
         return _counted(cells, column, NANOSECONDS[clock.unit], marks)
-    if clock.since is not None:
-        return _lasted(cells, column)
     written = pd.Series(texts, dtype=object)
     if clock.format is None:
         _refuse_not_iso(cells, column)
@@ -321,17 +321,6 @@ def _dates(cells: Cells, column: str, written: Any, clock: Clock, is_zoned: bool
     return dates.as_unit("ns").asi8
 
 
-def _lasted(cells: Cells, column: str) -> Stamps:
-    """Read durations such as 1:02:03.5, or 1 days 00:02:03 as pandas writes them."""
-    stamps = np.zeros(len(cells.rows), dtype=np.int64)
-    for row, cell in enumerate(cells.columns[column]):
-        if (match := LASTED.fullmatch(cell)) is None:
-            cells.refuse(row, column, "counts since a beginning; set clock.unit: s, ms, us, ns, min, h or d")
-        *parts, fraction = match.groups("0")
-        stamps[row] = int(np.dot([86400, 3600, 60, 1], [*map(int, parts)])) * 10**9 + int(fraction.ljust(9, "0"))
-    return stamps
-
-
 def _counted(cells: Cells, column: str, factor: int, marks: Marks) -> Stamps:
     rounded = next((cell for cell in cells.columns[column] if _OF_FEW_DIGITS.fullmatch(cell)), None)
     if rounded is not None:
@@ -342,6 +331,7 @@ def _counted(cells: Cells, column: str, factor: int, marks: Marks) -> Stamps:
             mark = grouped_by(cell)
             remedy = f'set table.thousands = "{mark}" in the mapping' if mark else "every row needs its time"
             remedy = "it counts by itself; leave clock.unit out" if LASTED.fullmatch(cell) else remedy
+            remedy = 'set clock.unit = "min" or "h", that of its first part' if LASTED_SHORT.fullmatch(cell) else remedy
             cells.refuse(row, column, f"is not a number with decimal mark {marks.decimal!r}; {remedy}")
         stamp = round(Decimal(number) * factor)
         if abs(stamp) >= 2**62:

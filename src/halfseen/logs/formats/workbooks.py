@@ -3,6 +3,7 @@
 Formulas have their last value, and durations are days.
 """
 
+import re
 import warnings
 import zipfile
 from collections.abc import Iterator
@@ -17,6 +18,11 @@ from halfseen.reading import TABLE, check_unpacked, opened
 
 MOST_CELLS = 5 * 10**7
 """Most cells of a sheet, empty ones before others included."""
+_BYTES_AT_ONCE = 2**20
+_UNCOMPUTED = re.compile(
+    rb'<c r="([A-Z]+[0-9]+)"(?:(?! t="str")[^>])*><f(?:[^>]*/>|[^>]*>[^<]*</f>)(?:<v ?/>|<v></v>)?</c>'
+)
+"""A cell with a formula and without a value; an empty text is a value."""
 LONGEST_WHOLE = 10**15
 """Excel rounds numbers of more digits, so that they are no names."""
 
@@ -40,6 +46,7 @@ def rows_of_sheet(file: Path, sheet: str | None) -> dict[int, list[str]]:
         warnings.filterwarnings("ignore", module="openpyxl")
         with zipfile.ZipFile(held) as archive:
             check_unpacked(file.stat().st_size, sum(member.file_size for member in archive.infolist()))
+            _warn_of_uncomputed(file, archive)
         held.seek(0)
         book = openpyxl.load_workbook(held, read_only=True, data_only=True)
         names = ", ".join(shown(each.title) for each in book.worksheets)
@@ -51,6 +58,20 @@ def rows_of_sheet(file: Path, sheet: str | None) -> dict[int, list[str]]:
         # The size that a file states may be wrong.
         found.reset_dimensions()
         return dict(_rows(found))
+
+
+def _warn_of_uncomputed(file: Path, archive: zipfile.ZipFile) -> None:
+    """Warn about formulas without a value, as programs write them that do not compute."""
+    found: list[bytes] = []
+    for name in (each for each in archive.namelist() if each.startswith("xl/worksheets/sheet")):
+        with archive.open(name) as part:
+            rest = b""
+            while content := part.read(_BYTES_AT_ONCE):
+                cells, end, rest = (rest + content).rpartition(b"</c>")
+                found += _UNCOMPUTED.findall(cells + end)
+    if found:
+        trouble = f"formulas without a value count as empty, that of {found[0].decode()} first of {len(found):,}"
+        warn(file, f"{trouble}; open the file in a spreadsheet program and save it")
 
 
 def _rows(sheet: Any) -> Iterator[tuple[int, list[str]]]:
