@@ -166,23 +166,23 @@ def _is_clock(since_first: Rows, began_s: Rows) -> bool:
 
 def _numbers_as_text(logs: Logs) -> Iterator[str]:
     for name, values, _ in covariate_columns(logs):
-        text = _texts(values)
-        is_number = text.map(lambda each: re.fullmatch(AS_NUMBER, each) is not None).astype(bool)
-        if is_number.mean() > 0.5:
+        kinds = _kinds_of_text(values)
+        numbers = [each for each in kinds if re.fullmatch(AS_NUMBER, each)]
+        if sum(kinds[each] for each in numbers) > 0.5 * sum(kinds.values()):
             yield (
-                f"{name} is text that looks like numbers, such as {shown(text[is_number].iloc[0])}, and each counts as "
-                "a category: write them as numbers, with a decimal point and without separators"
+                f"{name} is text that looks like numbers, such as {shown(numbers[0])}, and each counts as a category: "
+                "write them as numbers, with a decimal point and without separators"
             )
 
 
 def _missing_as_text(logs: Logs) -> Iterator[str]:
     for name, values, _ in covariate_columns(logs):
-        text = _texts(values)
-        is_missing = text.map(lambda each: each.strip().lower() in READ_AS_MISSING).astype(bool)
-        if is_missing.any():
+        kinds = _kinds_of_text(values)
+        missing = [each for each in kinds if each.strip().lower() in READ_AS_MISSING]
+        if missing:
             yield (
-                f"{name} is {shown(text[is_missing].iloc[0])} in {is_missing.sum()} of {len(values)} rows, and counts "
-                "as a category: if it means missing, leave it empty, and choose a fill rule with --missing"
+                f"{name} is {shown(missing[0])} in {sum(kinds[each] for each in missing)} of {len(values)} rows, and "
+                "counts as a category: if it means missing, leave it empty, and choose a fill rule with --missing"
             )
 
 
@@ -240,14 +240,13 @@ def _never_completed(logs: Logs) -> Iterator[str]:
     """Find categories, and one of two numbers, that only stages show in which a trajectory was cut."""
     is_done = logs.stages["elapsed_s"].notna()
     for name in logs.stage_covariates:
-        values: Any = logs.stages[name]
-        if not can_be_counted(values):
-            continue
-        known, lost = (set(values[rows].dropna().unique()) for rows in (is_done, ~is_done))
-        if lost - known and len(lost | known) <= (2 if is_number(values) else MOST_COUNTED):
+        values: Any = logs.stages[name].dropna()
+        kinds = values.unique() if can_be_counted(values) else ()
+        most = 2 if is_number(values) else MOST_COUNTED
+        if len(kinds) <= most and (lost := {*kinds} - {*values[is_done].unique()}):
             yield (
-                f"where {name} is {_listed(sorted(map(str, lost - known)))}, every stage was cut: what follows is "
-                "unknown, and what a policy does there is a guess"
+                f"where {name} is {_listed(sorted(map(str, lost)))}, every stage was cut: what follows is unknown, and "
+                "what a policy does there is a guess"
             )
 
 
@@ -278,6 +277,11 @@ def _equal_rewards(logs: Logs) -> Iterator[str]:
 def _texts(values: Any) -> Any:
     """The text values of a column."""
     return values[:0] if is_number(values) else values[values.map(lambda each: isinstance(each, str)).astype(bool)]
+
+
+def _kinds_of_text(values: Any) -> dict[str, int]:
+    """How often each text occurs in a column, in order of appearance."""
+    return _texts(values).value_counts(sort=False).to_dict()
 
 
 def _listed(names: Iterable[str]) -> str:

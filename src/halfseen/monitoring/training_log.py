@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.censoring import KaplanMeier
-from halfseen.learning.covariates import Covariates
+from halfseen.learning.covariates import Covariates, fit_covariates, learned_categories
 from halfseen.learning.rows import stage_places
 from halfseen.learning.sample import sampled
 from halfseen.logs import Logs
@@ -70,7 +70,7 @@ class WatchedValue(NamedTuple):
     """Lower limit of their deviation: a regression may be slightly wrong where nothing else varies."""
 
 
-def changes_in(logs: Logs, policy: Any, seed: int = 0) -> list[Change]:
+def changes_in(logs: Logs, policy: Any = None, seed: int = 0) -> list[Change]:
     """Detect changes within a log, the clearest first; most often there are none.
 
     Parameters
@@ -78,14 +78,14 @@ def changes_in(logs: Logs, policy: Any, seed: int = 0) -> list[Change]:
     logs
         The log, with its trajectories in order; of a long one, a sample is compared.
     policy
-        Policy that was learned from it, which defines the covariates; or these covariates. States are not compared for
-        policies of tables, nor with more than `MOST_FEATURES` features.
+        Policy that was learned from it, which defines the covariates; None for all of the log. States are not compared
+        for policies of tables, nor with more than `MOST_FEATURES` features.
     seed
         Seed of the permutations.
     """
     rows, names = sampled(logs.num_trajectories, seed), logs.trajectory_ids
     logs = logs if len(rows) == len(names) else logs.select(names[rows])
-    looks_at = policy if isinstance(policy, Covariates) else looks_at_of(policy)
+    looks_at = _all_covariates(logs) if policy is None else looks_at_of(policy)
     if looks_at.num_features > MOST_FEATURES:
         looks_at = Covariates(())
     watched = [*_first_states(logs, looks_at), *_parts(logs, looks_at), _cuts(logs)]
@@ -101,6 +101,11 @@ def changes_in(logs: Logs, policy: Any, seed: int = 0) -> list[Change]:
     clearest = np.argsort(-largest, kind="stable")
     found = [_change(logs.trajectory_ids.tolist(), watched[k], float(p[k])) for k in clearest if p[k] <= ALPHA]
     return [replace(each, num_since=int(len(names) - rows[len(rows) - each.num_since])) for each in found]
+
+
+def _all_covariates(logs: Logs) -> Covariates:
+    names = fit_covariates(logs)
+    return Covariates(tuple(names), learned_categories([logs], names, {}))
 
 
 def _change(names: list[Any], watched: WatchedValue, p_value: float) -> Change:

@@ -9,7 +9,6 @@ import pandas as pd
 from halfseen.arrays import RowMask
 from halfseen.censoring import KaplanMeier, positivity_report, stage_weights, weight_diagnostics
 from halfseen.censoring.positivity import PositivityReport
-from halfseen.learning.covariates import Covariates, fit_covariates, learned_categories
 from halfseen.logs import Logs
 from halfseen.logs.data_quality import data_warnings
 from halfseen.logs.grouping import by_action, by_cause, by_robot, by_stage
@@ -67,11 +66,9 @@ def log_findings(logs: Logs, positivity: PositivityReport) -> dict[str, Any]:
 
 def _changes(logs: Logs) -> list[dict[str, Any]]:
     """Changes of the cell or of a unit within the log, as `halfseen learn` finds them."""
-    names = fit_covariates(logs)
-    looks_at = Covariates(tuple(names), learned_categories([logs], names, {}))
     remedy = "convert a column whose unit changed, or learn with --since"
-    found = changes_in(logs, looks_at)
-    return [{"kind": "changed-within", "sentence": f"{each.sentence}: {remedy} {each.since}"} for each in found]
+    sentences = [f"{each.sentence}: {remedy} {each.since}" for each in changes_in(logs)]
+    return [{"kind": "changed-within", "sentence": sentence} for sentence in sentences]
 
 
 def positivity_of(logs: Logs) -> PositivityReport:
