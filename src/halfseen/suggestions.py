@@ -22,6 +22,11 @@ _SEPARATORS = re.compile(
 )
 
 
+def as_counted(name: str) -> tuple[tuple[int, str], ...]:
+    """Sort key of a name that compares its numbers as numbers: part 2 comes before part 10."""
+    return tuple((int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name))
+
+
 def folded(name: str) -> str:
     """Remove from a name what is only spelling."""
     text = DASHES.sub("-", composed(composed(_WITHOUT_WIDTH.sub("", name)).casefold()))

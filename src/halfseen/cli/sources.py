@@ -1,6 +1,5 @@
 """Sources of ``halfseen convert``: their kinds, the options of each kind, and how they are read."""
 
-import re
 import shlex
 from collections.abc import Callable
 from functools import partial
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 from halfseen.cli.options import word
 from halfseen.errors import ArgumentError, LogError
 from halfseen.progress import Progress
+from halfseen.suggestions import as_counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -141,19 +141,18 @@ def tables_of_events(path: Path) -> list[Path]:
 def _shown_files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     """Files of a folder by the end of their names, in order; hidden files are passed over."""
     there = [file for file in folder.iterdir() if file.name.lower().endswith(suffixes)]
-    return sorted((file for file in there if not file.name.startswith(".")), key=_in_order)
+    return sorted((file for file in there if not file.name.startswith(".")), key=_by_name)
 
 
-def _in_order(file: Path) -> tuple[list[str | int], str]:
-    """Sort key of a file by its name, with numbers as numbers: part 2 comes before part 10."""
-    return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", file.name))], file.name
+def _by_name(file: Path) -> tuple[Any, str]:
+    return as_counted(file.name), file.name
 
 
 def _bags(path: Path) -> list[Path]:
     """Bags of a path: the path itself, or those in its folder."""
     if _is_bag(path):
         return [path]
-    return sorted((entry for entry in path.iterdir() if _is_bag(entry)), key=_in_order) if path.is_dir() else []
+    return sorted((entry for entry in path.iterdir() if _is_bag(entry)), key=_by_name) if path.is_dir() else []
 
 
 def _is_bag(path: Path) -> bool:

@@ -35,7 +35,7 @@ from halfseen.logs.plausibility import (
     untrue_probabilities,
 )
 from halfseen.logs.stand_ins import mixed_truths, stand_ins
-from halfseen.suggestions import alike, spelled_out
+from halfseen.suggestions import alike, as_counted, spelled_out
 
 FEWEST_ROWS, FEWEST_CUTS, FEWEST_TRAJECTORIES = 10, 5, 30
 FEWEST_IN_STATE, FEWEST_STAGES, RARE_SHARE = 50, 200, 0.01
@@ -115,21 +115,16 @@ def _running_clocks(logs: Logs) -> Iterator[str]:
         )
 
 
-def _text_order(logs: Logs) -> Iterator[str]:
+def text_order(logs: Logs) -> Iterator[str]:
     """Find names of trajectories that contain numbers but are sorted as text."""
     names = [name for name in logs.trajectory_ids if isinstance(name, str)]
     for one, other in pairwise(names):
-        if _as_counted(one) > _as_counted(other):
+        if as_counted(one) > as_counted(other):
             yield (
                 f"trajectories are sorted by name as text, where {one!r} comes before {other!r}, and that order "
                 "decides which came later: write their numbers with equally many digits"
             )
             return
-
-
-def _as_counted(name: str) -> tuple[tuple[int, str], ...]:
-    """Sort key of a name that compares its numbers as numbers."""
-    return tuple((int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name))
 
 
 def _identifiers(logs: Logs) -> Iterator[str]:
@@ -300,7 +295,7 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "leak": leaks,
     "outcome-as-covariate": partial(outcomes_among_covariates, untested=MOST_EXPLAINED),
     "cut-called-finished": cuts_called_finished,
-    "text-order": _text_order,
+    "text-order": text_order,
     "identifier": _identifiers,
     "number-as-text": _numbers_as_text,
     "missing-as-text": _missing_as_text,

@@ -5,15 +5,15 @@ has about s √(n/m). The loss d is clearly larger than that for m ≥ n (2s/d)�
 known only after learning again.
 """
 
-import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from halfseen.logs import Logs
 from halfseen.logs.columns import shown
+from halfseen.logs.data_quality import text_order
 from halfseen.monitoring.outcomes import Course, Outcomes
 from halfseen.shapes import Float
 from halfseen.wording import counted
@@ -185,29 +185,21 @@ def num_needed(value: Mapping[str, float] | None, num_learned: int, now: float |
     return max(FEWEST, int(np.ceil(num_learned * (CLEARLY * value["standard_error"] / lost) ** 2)))
 
 
-def of_names(names: Any, since: int | None) -> tuple[str, ...]:
-    """What to know of the names of trajectories: which one a change begins with, and whether their order may be wrong.
+def of_names(logs: Logs, since: int | None) -> tuple[str, ...]:
+    """Say which trajectory a change begins with, and whether their order may be wrong.
 
     Parameters
     ----------
-    names
-        Names of the trajectories that count, in order.
+    logs
+        The trajectories that count.
     since
         Number of the first after a change, from 1; None without a change.
     """
-    notes = []
-    if since is not None and str(names[since - 1]) != str(since):
-        name = shown(names[since - 1])
-        notes.append(f"trajectories that count are numbered from 1; number {since} is {name} in the log")
-    keys = [re.split("([0-9]+)", name) for name in names if isinstance(name, str)]
-    keys = [[int(part) if k % 2 else part for k, part in enumerate(parts)] for parts in keys]
-    wrong = next((k for k, (one, other) in enumerate(pairwise(keys)) if one > other), None)
-    if wrong is not None:
-        pair = " before ".join(shown(name) for name in names[wrong : wrong + 2])
-        notes.append(
-            f"trajectories are in the order of their names as text, {pair}; if they ran otherwise, rename them"
-        )
-    return tuple(notes)
+    notes, names = tuple(text_order(logs)), logs.trajectory_ids
+    if since is None or str(names[since - 1]) == str(since):
+        return notes
+    name = shown(names[since - 1])
+    return (f"trajectories that count are numbered from 1; number {since} is {name} in the log", *notes)
 
 
 def relearning(num_since: int, since: str | int, needed: int | None, own: float) -> str:

@@ -211,7 +211,7 @@ def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n
     smallest = {family: np.minimum(p.min(axis=1, initial=1.0) * p.shape[1], 1.0) for family, p in p_values.items()}
     pays = "" if not findings else MEND_FIRST if is_misrecorded(causes) else _pays(stored, logs, since, earned)
     rest: Any = (outcomes, course, smallest, pays, bets.doubts, bets.foreign)
-    notes = (*bets.notes, *of_names(logs.trajectory_ids, since if findings else None))
+    notes = (*bets.notes, *of_names(logs, since if findings else None))
     return Monitored(logs.num_trajectories, promised, earned, tuple(findings), causes, notes, *rest)
 
 
