@@ -1,6 +1,7 @@
 """A policy against the rule of today in the bin cell: trajectories until it is promoted, and how often that is wrong.
 
 python benchmarks/against.py [--out runs/benchmarks/against.json] [--lifetimes 200] [--nulls 2000]
+                             [--most-loss 20]
 
 Lifetimes are drawn from trajectories of the cell's rule and of its optimum, with no cuts and with the rates at which
 half of the rule's are cut. First the outcome is success or not, trajectories are dealt by a fair coin, and peers are
@@ -28,7 +29,6 @@ from halfseen.monitoring.comparison import Courses, beats_at, counted
 from halfseen.monitoring.dealing import PROMOTES, Standing, Terms, standing
 
 NUM_DRAWN, LONGEST, LOOK_EVERY = 4000, 300, 3
-MOST_LOSS = 15.0
 SHARES = {"none cut": 0.0, "half cut": 0.5}
 FEWEST_PAIRS = 200
 
@@ -149,15 +149,15 @@ def by_success(num: int, cuts: str) -> dict[str, Any]:
     return found
 
 
-def by_reward(num: int, num_nulls: int, cuts: str) -> dict[str, Any]:
+def by_reward(num: int, num_nulls: int, most_loss: float, cuts: str) -> dict[str, Any]:
     """The whole procedure: until promotion, wrong promotions, and what a worse policy loses."""
     rule, policy = (
         Arm(name).courses(SHARES[cuts], seed, is_success=False) for seed, name in enumerate(("plain", "best"))
     )
     gain = Arm("best").value(Arm("best").logging) - Arm("plain").value(Arm("plain").logging)
     rng = np.random.default_rng(2)
-    good = [held(rule, policy, Terms(0.2, MOST_LOSS), rng) for _ in range(num)]
-    bad = [held(policy, rule, Terms(0.2, MOST_LOSS), rng) for _ in range(num)]
+    good = [held(rule, policy, Terms(0.2, most_loss), rng) for _ in range(num)]
+    bad = [held(policy, rule, Terms(0.2, most_loss), rng) for _ in range(num)]
     ends = [each.num if each.verdict == "promoted" else np.inf for each in good]
     false = {
         chance: float(
@@ -172,7 +172,7 @@ def by_reward(num: int, num_nulls: int, cuts: str) -> dict[str, Any]:
         "promoted": float(np.mean(np.isfinite(ends))),
         "worse promoted": float(np.mean([each.verdict == "promoted" for each in bad])),
         "worse stopped": float(np.mean([each.verdict == "stopped" for each in bad])),
-        "loss within bound": float(np.mean([each.num_policy * gain <= MOST_LOSS for each in bad])),
+        "loss within bound": float(np.mean([each.num_policy * gain <= most_loss for each in bad])),
         "median loss": float(np.median([each.num_policy * gain for each in bad])),
         "false promotions by share": false,
     }
@@ -201,13 +201,13 @@ def where_cuts_hide(num_nulls: int) -> dict[str, float]:
     }
 
 
-def measured(num: int, num_nulls: int) -> dict[str, Any]:
+def measured(num: int, num_nulls: int, most_loss: float) -> dict[str, Any]:
     """All of it."""
     found = {}
     for cuts in SHARES:
         found[cuts] = {"success": by_success(num, cuts)}
         print(cuts, json.dumps(found[cuts], indent=1), flush=True)
-        found[cuts]["reward"] = by_reward(num, num_nulls, cuts)
+        found[cuts]["reward"] = by_reward(num, num_nulls, most_loss, cuts)
         print(cuts, json.dumps(found[cuts]["reward"], indent=1), flush=True)
     return found
 
@@ -228,8 +228,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/against.json"))
     parser.add_argument("--lifetimes", type=int, default=200)
     parser.add_argument("--nulls", type=int, default=2000)
+    parser.add_argument("--most-loss", type=float, default=20.0)
     given = parser.parse_args()
-    found = measured(given.lifetimes, given.nulls)
+    found = measured(given.lifetimes, given.nulls, given.most_loss)
     hidden = where_cuts_hide(given.nulls)
     print("false promotions where cuts hide the rule's slow successes, by rate", json.dumps(hidden), flush=True)
     write(given.out, {**found, "cuts hide slow successes": hidden}, rows(found))

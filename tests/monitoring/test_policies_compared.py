@@ -225,6 +225,13 @@ def test_more_trajectories_are_about_what_a_gain_of_this_size_needs():
     assert 10 < np.median([each for each in found if each is not None]) < 120
 
 
+def test_how_many_more_is_unknown_where_cuts_may_hide_the_gain():
+    courses = drawn(60, np.random.default_rng(0), gain=0.8)
+    of = counted(courses)
+    assert standing(courses, Terms(0.5), of).more is not None
+    assert standing(courses, Terms(0.5), of._replace(too_high=of.too_high + 3.0)).more is None
+
+
 def test_a_loss_that_is_allowed_is_not_passed():
     stopped = []
     for seed in range(8):

@@ -37,7 +37,7 @@ that is less, for n trajectories to learn from. So an error of v matters less as
 FEWEST_OF_ARM = 10
 """Fewest trajectories of an arm that gets its own values and Ĝ."""
 CAUTION = 0.25
-"""Nothing is bet on a gain where cuts may hide as much as this share of the range of totals."""
+"""Bets on a gain shrink as D grows, to nothing where it is this share of the range of totals."""
 RIDGE = 1.0
 """Ridge penalty of v [stages]."""
 BETS = np.array([0.02, 0.15, 0.5, 0.95])

@@ -163,9 +163,13 @@ def _more(of: CountedTrajectories) -> int | None:
     """Number of trajectories until the wealth of an ideal bet suffices, at the share of the latest trajectories."""
     if not len(of.excess):
         return None
-    outcome = of.bet_on * of.excess
+    is_gain = (of.bet_on @ of.excess) > 0.0
+    hidden = of.too_high[-1] if is_gain else -of.too_low[-1]
+    outcome = of.bet_on * (of.excess - hidden * of.share)
     half = outcome[len(outcome) // 2 :]
-    need = -np.log(PROMOTES if half.mean() > 0.0 else HARMS) + EXTRA_NATS
+    if (half.mean() > 0.0) != is_gain:
+        return None
+    need = -np.log(PROMOTES if is_gain else HARMS) + EXTRA_NATS
     rate = 0.5 * half.mean() ** 2 / max(float(np.mean(half**2)), 1e-300)
     had = 0.5 * outcome.mean() ** 2 / max(float(np.mean(outcome**2)), 1e-300) * len(outcome)
     more = max(need - had, 0.0) / rate if rate > 0.0 else np.inf
