@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from halfseen.monitoring import betting
-from halfseen.monitoring.betting import pair_payoffs
 from halfseen.monitoring.diagnosis import change_point
 
 
@@ -64,17 +63,6 @@ def test_conformal_p_values_are_what_counting_gives():
         below, same = sum(b < value for b in before), sum(b == value for b in before)
         assert p == pytest.approx((below + draw * (same + 1)) / (len(before) + 1))
         before.append(value)
-
-
-def test_pairs_take_the_oldest_aside_and_a_change_of_the_correlation_alone_is_noticed():
-    rng = np.random.default_rng(2)
-    reference, states = rng.normal(size=(200, 2)), rng.normal(size=(500, 2))
-    states[:, 1] = 0.8 * states[:, 0] + 0.6 * states[:, 1]
-    payoffs = pair_payoffs(states, reference, rng.random(500))
-    assert (payoffs[:, 0, 0] == 1.0).all()
-    assert betting.log_wealth(payoffs)[-1, 0] > np.log(1000)
-    same = pair_payoffs(rng.normal(size=(500, 2)), reference, rng.random(500))
-    assert betting.log_wealth(same)[-1, 0] < np.log(20)
 
 
 def test_a_change_is_found_where_it_is_and_against_a_reference_from_the_first_on():

@@ -7,11 +7,6 @@ and Holm's procedure [Holm1979]_ over several of them errs with probability at m
 A gambler starts to bet at a random time, drawn from a prior of the change point, with one of several strategies. Its
 wealth is the mean over times and strategies, so the logarithm of the wealth loses about the negative logarithm of the
 prior probability of the change. A lifetime has no end, so the prior has a long tail. Wealth is kept until it is bet.
-
-On joint states, a classifier bets on which of two is the newer one. A coin decides whether a new state is put aside or
-paired with the oldest state that is aside; the first of these come from the policy's log. While nothing has changed
-the two are exchangeable, so 2 σ(θ · (φ(new) − φ(old))) has mean 1 for any predictable θ. θ is learned from earlier
-pairs by logistic regression [PodkopaevRamdas2023]_. φ are the covariates and their products.
 """
 
 from bisect import bisect_left
@@ -21,7 +16,6 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
-from halfseen.learning.behaviour import mean_and_scale
 from halfseen.shapes import Float, Int
 
 FROM_FIRST = 0.2
@@ -200,71 +194,3 @@ def first_rejected(p: Float[np.ndarray, "n F"], alpha: float, hypothesis: int) -
         Column of the hypothesis.
     """
     return bisect_left(range(len(p)), True, key=lambda at: bool(holm(p[at], alpha)[hypothesis]))
-
-
-RIDGE, NEWTON_STEPS = 5.0, 6
-FEWEST_PAIRS, MORE = 20, 1.3
-LARGEST = 5.0
-"""Absolute value at which standardised covariates are clipped."""
-
-
-def pair_payoffs(
-    states: Float[np.ndarray, "n d"], reference: Float[np.ndarray, "k d"], coins: Float[np.ndarray, " n"]
-) -> Float[np.ndarray, "n 1 S"]:
-    """Payoffs after each new state; 1 for a state that is put aside.
-
-    Parameters
-    ----------
-    states
-        New states in order.
-    reference
-        States of the log.
-    coins
-        Uniform on [0, 1).
-    """
-    features = _features(np.concatenate([reference, states]), reference if len(reference) > 1 else states)
-    pairs = _pairs(len(states), len(reference), coins)
-    news = np.array([len(reference) + i for i, _ in pairs], dtype=int)
-    apart = features[news] - features[np.array([old for _, old in pairs], dtype=int)]
-    bets = np.zeros(len(states))
-    bets[[i for i, _ in pairs]] = _bets(apart)
-    return 1.0 + STAKE * bets[:, None, None] * LOSSES
-
-
-def _pairs(num: int, num_reference: int, coins: Float[np.ndarray, " n"]) -> list[tuple[int, int]]:
-    """Pairs of a new state (row of the new states) and an older one (row of reference and new states together)."""
-    aside, used, pairs = list(range(num_reference)), 0, []
-    for i in range(num):
-        if coins[i] < 0.5 or used == len(aside):
-            aside.append(num_reference + i)
-        else:
-            pairs.append((i, aside[used]))
-            used += 1
-    return pairs
-
-
-def _features(states: np.ndarray, scale_of: np.ndarray) -> Float[np.ndarray, "m P"]:
-    mean, spread = mean_and_scale(scale_of)
-    scaled = np.clip((states - mean) / spread, -LARGEST, LARGEST)
-    one, other = np.triu_indices(states.shape[1])
-    return np.concatenate([scaled, scaled[:, one] * scaled[:, other]], axis=1)
-
-
-def _bets(apart: Float[np.ndarray, "m P"]) -> Float[np.ndarray, " m"]:
-    """2 σ − 1 of each pair, with θ learned from earlier pairs."""
-    bets, begun, end = np.zeros(len(apart)), 0, FEWEST_PAIRS
-    while begun < len(apart):
-        if begun >= FEWEST_PAIRS:
-            bets[begun:end] = np.tanh(0.5 * apart[begun:end] @ _learned(apart[:begun]))
-        begun, end = end, max(int(MORE * end), end + 1)
-    return bets
-
-
-def _learned(apart: Float[np.ndarray, "m P"]) -> Float[np.ndarray, " P"]:
-    theta = np.zeros(apart.shape[1])
-    for _ in range(NEWTON_STEPS):
-        chance = 0.5 * (1.0 - np.tanh(0.5 * apart @ theta))
-        slope = apart.T @ chance - RIDGE * theta
-        curve = (apart * (chance * (1.0 - chance))[:, None]).T @ apart + RIDGE * np.eye(len(theta))
-        theta = theta + np.linalg.solve(curve, slope)
-    return theta

@@ -48,6 +48,7 @@ from halfseen.monitoring.foreign import (
     unknown_actions,
     unknown_categories,
 )
+from halfseen.monitoring.joint import FirstStates, first_states
 from halfseen.monitoring.outcomes import BettingBounds, CensoredOutcomes, Course, Outcomes
 from halfseen.monitoring.streams import (
     Stream,
@@ -83,6 +84,8 @@ class Bets:
         Payoffs by family.
     streams
         Streams of the gamblers of a family, except those of the joint covariates and of the promised value.
+    joint
+        First states that a classifier bets on; None if it does not.
     outcomes
         Outcome of each trajectory; None if unknown.
     notes
@@ -96,6 +99,7 @@ class Bets:
     logs: Logs
     payoffs: dict[str, Float[np.ndarray, "n F S"]]
     streams: dict[str, list[Stream]]
+    joint: FirstStates | None
     outcomes: Outcomes | None
     notes: tuple[str, ...]
     doubts: tuple[str, ...] = ()
@@ -155,10 +159,12 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
         whole = own_alone([whole_stream(parts, promise["parts"], num)], is_own)
         payoffs |= {"rewards": [_ranked(whole, logs, seed + 2, is_less=True)], "promise": [_against_log(whole, num)]}
         parts = [*parts, *against]
+    joint = None
     if looks_at.num_features > 1 and promise.get("first_states"):
         swaps = swapped_states(promise, looks_at, logs)
         payoffs["inputs"].append(_ranked(swaps, logs, seed + 3, is_less=True))
-        payoffs["inputs"].append(_joint(looks_at, logs, promise["first_states"], seed))
+        joint = first_states(looks_at, logs, np.array(promise["first_states"]), seed)
+        payoffs["inputs"].append(joint.payoffs)
         inputs += swaps
     doubts, foreign = unknown_categories(looks_at, logs), ""
     if hasattr(policy, "decide") and isinstance(policy, NamedActionPolicy):
@@ -172,7 +178,7 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
         payoffs.setdefault("promise", []).append(promised)
     streams = {"inputs": inputs, "parts": parts, "rewards": whole, "promise": whole}
     each = {family: np.concatenate(of_family, axis=1) for family, of_family in payoffs.items()}
-    return Bets(logs, each, streams, outcomes, tuple(notes), doubts, foreign)
+    return Bets(logs, each, streams, joint, outcomes, tuple(notes), doubts, foreign)
 
 
 def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n F"]) -> Monitored:
@@ -239,16 +245,6 @@ def _ranked(streams: list[Stream], logs: Logs, seed: int, *, is_less: bool = Fal
 def _against_log(parts: list[Stream], num: int) -> Float[np.ndarray, "n P S"]:
     each = [betting.residual_payoffs(one.residuals, one.trajectory, num, one.tolerance, one.reach) for one in parts]
     return np.concatenate(each, axis=1)
-
-
-def _joint(looks_at: Covariates, logs: Logs, reference: list[list[float]], seed: int) -> Float[np.ndarray, "n 1 S"]:
-    rows: Any = logs.stages[logs.stages["stage"] == 1]
-    is_known = looks_at.knows(rows)
-    coins = np.random.default_rng([seed, 1]).random(len(rows))
-    of_known = betting.pair_payoffs(looks_at.encode(rows[is_known]), np.array(reference), coins[is_known])
-    payoffs = np.ones((len(rows), *of_known.shape[1:]))
-    payoffs[is_known] = of_known
-    return payoffs
 
 
 def _is_own(logs: Logs) -> Bool[np.ndarray, " n"]:
@@ -345,6 +341,7 @@ def _findings(family: str, p: Float[np.ndarray, "n F"], bets: Bets, promise: Any
             change = earns_less_at(outcomes, promise["value"], at)
             name, words = "promise", "it earns less than promised"
         else:
-            change, name, words = ChangePoint(0, 0, at), "all covariates", CHANGED_TOGETHER
+            change = ChangePoint(0, 0, at) if bets.joint is None else bets.joint.changed_at(at)
+            name, words = "all covariates", CHANGED_TOGETHER
         found.append(Finding(family, name, words, float(p[-1, k]), at + 1, *(each + 1 for each in change)))
     return found
