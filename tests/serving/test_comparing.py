@@ -128,16 +128,16 @@ def test_another_policy_begins_a_comparison_of_its_own(cell, tmp_path):
     with client as asked:
         run(asked, np.random.default_rng(0), 5)
     other = replace(compared.service, digest="another")
-    assert compared.of(compared.service, is_in_progress=False) is compared
-    assert compared.of(other, is_in_progress=False).courses.num == 0
+    assert compared.of(compared.service) is compared
+    assert compared.of(other).courses.num == 0
     # The rule of the comparison is the one that it began with, until it is read again.
     (tmp_path / "rule.csv").write_text("action\nC\n")
     assert compared.rule.action({"x1": 1.0}, 1)[0] == "A"
-    of_rule = compared.of(compared.service, is_in_progress=False)
+    of_rule = compared.of(compared.service)
     assert (of_rule.courses.num, of_rule.rule.action({"x1": 1.0}, 1)[0]) == (0, "C")
     (tmp_path / "rule.csv").unlink()
     with pytest.raises(ArgumentError, match=r"rule\.csv: it cannot be read"):
-        compared.of(compared.service, is_in_progress=False)
+        compared.of(compared.service)
     logs = read_logs(tmp_path / "logs")
     assert courses_of(logs, compared.policy, compared.name).num == 5
 

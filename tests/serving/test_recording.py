@@ -156,6 +156,21 @@ def test_a_policy_of_other_covariates_is_not_reloaded(flat, tmp_path):
         assert client.post("/reload").json()["policy"] != before
 
 
+def test_a_trajectory_in_progress_is_finished_by_the_policy_that_began_it(flat, tmp_path):
+    folder = copytree(flat, tmp_path / "policy")
+    with client_of(folder, tmp_path / "logs") as client:
+        before = decided(client, x1=0.1, x2=1)["policy"]
+        written(folder, reg=5.0)
+        fresh = client.post("/reload").json()["policy"]
+        client.post("/reward", json={"reward": 1.0, "elapsed_s": 1.0})
+        assert decided(client, x1=0.2, x2=1)["policy"] == before == client.get("/health").json()["policy"]
+        cut(client)
+        assert client.get("/health").json()["policy"] == fresh != before
+        assert decided(client, x1=0.1, x2=1)["policy"] == fresh
+        cut(client)
+    assert read_logs(tmp_path / "logs").trajectories["policy_digest"].tolist() == [before, fresh]
+
+
 def test_a_server_that_begins_again_does_not_draw_the_same_again(flat, tmp_path, monkeypatch):
     told = []
 

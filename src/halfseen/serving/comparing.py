@@ -144,13 +144,9 @@ class LiveComparison:
         if self.standing.verdict != before:
             self.say(f"{self.standing}.")
 
-    def of(self, service: "InService", *, is_in_progress: bool) -> "LiveComparison":
-        """Comparison of another policy or rule in this log; a trajectory in progress goes on, and does not count."""
-        if name_of(service, self.file) == self.name:
-            return self
-        other = replace(self, service=service)
-        other.deal = self.deal if is_in_progress else None
-        return other
+    def of(self, service: "InService") -> "LiveComparison":
+        """Comparison of another policy or rule in this log."""
+        return self if name_of(service, self.file) == self.name else replace(self, service=service)
 
     @property
     def facts(self) -> Compared:

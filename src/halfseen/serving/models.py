@@ -141,7 +141,7 @@ class EndAnswer(Struct, frozen=True):
 
 
 class Reloaded(Struct, frozen=True):
-    """What answers from now on."""
+    """What answers from now on; in a log, from the next trajectory on."""
 
     policy: Digest
 

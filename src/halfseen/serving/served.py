@@ -184,6 +184,7 @@ class Served:
 
     def __post_init__(self) -> None:
         self.service = self.read()
+        self._next: tuple[InService, LiveComparison | None] | None = None
         self.lock = asyncio.Lock()
 
     def read(self) -> InService:
@@ -195,6 +196,8 @@ class Served:
     async def reload(self) -> InService:
         """Replace the current policy by that of the folder; requests are answered meanwhile.
 
+        A recorded trajectory in progress is finished by the policy that began it, as its log says.
+
         Raises
         ------
         PolicyError
@@ -202,17 +205,25 @@ class Served:
         """
         fresh = await to_thread.run_sync(self.read)
         async with self.lock:
-            answering, recording = self.answering, self.answering.trajectories
-            if recording is not None:
-                recording.refuse_other_columns(fresh.stored.policy)
-            if answering.comparison is not None and recording is not None:
-                to = partial(answering.comparison.of, fresh, is_in_progress=recording.facts.trajectory is not None)
-                self.answering = replace(answering, comparison=await to_thread.run_sync(to))
-            watch = answering.recent.watch
-            if watch is not None and fresh.digest != self.service.digest:
-                watch.anew(fresh.digest)
-            self.service = fresh
+            comparison = self.answering.comparison
+            if self.answering.trajectories is not None:
+                self.answering.trajectories.refuse_other_columns(fresh.stored.policy)
+            if comparison is not None:
+                comparison = await to_thread.run_sync(comparison.of, fresh)
+            self._next = fresh, comparison
+            self._replace()
         return fresh
+
+    def _replace(self) -> None:
+        """Take the policy that was read last into service, unless a recorded trajectory is in progress."""
+        recording, watch = self.answering.trajectories, self.answering.recent.watch
+        if self._next is None or (recording is not None and recording.facts.trajectory is not None):
+            return
+        (fresh, comparison), self._next = self._next, None
+        self.answering = replace(self.answering, comparison=comparison)
+        if watch is not None and fresh.digest != self.service.digest:
+            watch.anew(fresh.digest)
+        self.service = fresh
 
     async def decide(self, look: Callable[[InService], AskedState], check: Check = _anybody) -> DecisionAnswer:
         """Look, decide and record, one request at a time; slow work runs in threads, so that the loop stays free.
@@ -230,6 +241,7 @@ class Served:
             The decision cannot be recorded, or the client is gone; then nothing is decided.
         """
         async with self.lock:
+            self._replace()
             service, is_table = self.service, self.service.stored.is_table
             if not is_table:
                 seen = look(service)
@@ -273,6 +285,7 @@ class Served:
             ended = recording.ended(cause, elapsed_s)
             if comparison is not None:
                 await to_thread.run_sync(comparison.ended, recording.events)
+            self._replace()
             self.answering.recent.ended(recording.events)
             return ended
 
