@@ -2,6 +2,7 @@
 
 import json
 import re
+import threading
 import time
 from dataclasses import replace
 
@@ -18,6 +19,7 @@ from halfseen.logs import Logs, read_logs
 from halfseen.policies.folder import read_policy
 from halfseen.policies.folder.log_facts import actions_taken
 from halfseen.policies.rule_files import fall_back_of, usual_actions
+from halfseen.serving.in_service import MOST_UNANSWERED
 from halfseen.serving.served import Served
 from small_logs import flat_log
 
@@ -151,6 +153,25 @@ def test_a_decision_that_comes_too_late_is_dropped_for_the_rules(flat, monkeypat
         told = decided(client, **WITHIN)
         assert (told["stepped_back"], told["probability"]) == ("late", 1.0)
         assert "did not answer within 0.05 s" in told["reason"]
+
+
+def test_a_policy_that_hangs_is_asked_no_more_until_it_answers_or_another_is_read(flat, monkeypatch):
+    answers, asked = threading.Event(), []
+
+    def hanging(self, encoded, stage):
+        asked.append(threading.current_thread())
+        answers.wait()
+
+    with client_of(flat, served={"limit_s": 0.01}) as client:
+        with monkeypatch.context() as patched:
+            patched.setattr(type(read_policy(flat).policy), "valued", hanging)
+            told = [decided(client, **WITHIN) for _ in range(MOST_UNANSWERED + 5)]
+        assert {one["stepped_back"] for one in told} == {"late"}
+        assert "has not yet answered 8 earlier questions" in told[-1]["reason"]
+        assert all(thread.daemon for thread in asked)
+        client.post("/reload").raise_for_status()
+        assert "earlier questions" not in decided(client, **WITHIN)["reason"]
+    answers.set()
 
 
 def test_a_new_category_is_outside_the_logs(tmp_path):

@@ -4,7 +4,10 @@ The rule decides outside the range of the training log, beyond the horizon, when
 late. It decides with probability 1: which of the two decides depends on the state only, so the log can be learned from.
 """
 
+import asyncio
+import contextlib
 import sys
+import threading
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,6 +26,9 @@ from halfseen.serving.models import Why
 
 MOST_WARMED = 12
 """Number of objects of the largest table that is decided during warm-up."""
+
+MOST_UNANSWERED = 8
+"""Number of unanswered questions above which a policy is no longer asked."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,3 +137,40 @@ def asked(decide: Callable[[], Decision], stage: int, horizon: int) -> Decision 
     if decision.q_values and decision.q_values.get(str(decision.action)) is None:
         return SteppedBack("failed", f"the policy fails (Q of {decision.action} is not a number)")
     return decision
+
+
+async def asked_in_time(
+    ask: Callable[[], Decision | SteppedBack], limit_s: float, unanswered: set[threading.Thread]
+) -> Decision | SteppedBack:
+    """Ask a policy in a thread; step back after a time limit, and at once while many questions are unanswered.
+
+    A policy that hangs cannot be ended. Its threads do not keep the server from stopping.
+
+    Parameters
+    ----------
+    ask
+        Asks the policy, and never raises.
+    limit_s
+        Time limit [s].
+    unanswered
+        Threads of questions without an answer so far; updated.
+    """
+    if len(unanswered) >= MOST_UNANSWERED:
+        return SteppedBack("late", f"the policy has not yet answered {MOST_UNANSWERED} earlier questions")
+    loop = asyncio.get_running_loop()
+    answer: asyncio.Future[Decision | SteppedBack] = loop.create_future()
+
+    def run() -> None:
+        found = ask()
+        unanswered.discard(thread)
+        # The loop may be closed by then.
+        with contextlib.suppress(RuntimeError):
+            loop.call_soon_threadsafe(lambda: answer.done() or answer.set_result(found))
+
+    thread = threading.Thread(target=run, daemon=True)
+    unanswered.add(thread)
+    thread.start()
+    try:
+        return await asyncio.wait_for(answer, limit_s)
+    except TimeoutError:
+        return SteppedBack("late", f"the policy did not answer within {limit_s:g} s")

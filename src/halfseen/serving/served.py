@@ -4,6 +4,7 @@ An answer has the fields of `halfseen act --json`, and the probability of the ac
 """
 
 import asyncio
+import threading
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
-from anyio import move_on_after, to_thread
+from anyio import to_thread
 from msgspec import UNSET
 
 from halfseen.logs.columns import DECIDED_BY, RULE
@@ -20,7 +21,7 @@ from halfseen.monitoring.dealing import POLICY
 from halfseen.policies.decision import Decision
 from halfseen.policies.exploration import ExplorationTable, Taken, chance_of, taken, uniform_shares
 from halfseen.serving.comparing import LiveComparison
-from halfseen.serving.in_service import InService, SteppedBack, asked, taken_into_service
+from halfseen.serving.in_service import InService, SteppedBack, asked, asked_in_time, taken_into_service
 from halfseen.serving.models import DecisionAnswer, EndAnswer, Health, RecordingProgress, Refusal, StepBacks
 from halfseen.serving.questions import AskedState
 from halfseen.serving.recording import RecordedTrajectories
@@ -184,6 +185,7 @@ class Served:
 
     def __post_init__(self) -> None:
         self.service = self.read()
+        self._unanswered: set[threading.Thread] = set()
         self._next: tuple[InService, LiveComparison | None] | None = None
         self.lock = asyncio.Lock()
 
@@ -223,7 +225,7 @@ class Served:
         self.answering = replace(self.answering, comparison=comparison)
         if watch is not None and fresh.digest != self.service.digest:
             watch.anew(fresh.digest)
-        self.service = fresh
+        self.service, self._unanswered = fresh, set()
 
     async def decide(self, look: Callable[[InService], AskedState], check: Check = _anybody) -> DecisionAnswer:
         """Look, decide and record, one request at a time; slow work runs in threads, so that the loop stays free.
@@ -261,13 +263,11 @@ class Served:
             return reply
 
     async def _decided(self, service: InService, seen: AskedState) -> Decision | SteppedBack:
-        """Ask the policy; an answer after the time limit is dropped."""
+        """Ask the policy; an answer after the time limit is dropped, as is a question while many are unanswered."""
         ask = partial(asked, seen.decide, seen.stage, service.stored.horizon)
         if self.limit_s is None:
             return await to_thread.run_sync(ask) if service.stored.is_table else ask()
-        with move_on_after(self.limit_s):
-            return await to_thread.run_sync(ask, abandon_on_cancel=True)
-        return SteppedBack("late", f"the policy did not answer within {self.limit_s:g} s")
+        return await asked_in_time(ask, self.limit_s, self._unanswered)
 
     async def rewarded(
         self, reward: float, elapsed_s: float | None = None, held: bool | None = None, trajectory: Any = None
