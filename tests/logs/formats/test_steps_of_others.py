@@ -173,6 +173,20 @@ def test_without_timeouts_that_is_told(tmp_path):
     assert_is(logs, expected(found, [FINISHED] * 3, times_of(found), IN_ARRAYS))
 
 
+def test_ends_that_observations_contradict_are_told(tmp_path):
+    found = episodes(0, (3, 2, 4, 2))
+    lost = write_arrays(tmp_path / "lost.hdf5", arrays(found, terminated=(0, 2, 3)))
+    with pytest.warns(HalfseenWarning, match=r"in row 4 next_observations are not the obs.* in 1 rows: mark the ends"):
+        read_step_arrays(lost, SECONDS)
+    for episode in found:
+        episode["observed"] = (np.array(episode["observed"]) / 100 + [0.0, len(episode["actions"])]).tolist()
+    rows = arrays(found, timed_out=(0, 1, 2, 3))
+    for end in (2, 4, 8):
+        rows["next_observations"][end] = rows["observations"][end + 1]
+    with pytest.warns(HalfseenWarning, match="are the first observations of the next, as environments that reset"):
+        read_step_arrays(write_arrays(tmp_path / "reset.hdf5", rows), SECONDS)
+
+
 def test_groups_of_observations_and_named_arrays_are_read(tmp_path):
     rows = arrays(episodes(lengths=(2,)), terminated=[0], has_next=False)
     rows |= {"observations": None, "actions": np.zeros((2, 3)), "infos/qpos": np.zeros((2, 9))}
@@ -293,7 +307,7 @@ WRONG = {
         ({"timeouts": [NAN] * 8}, r"timeouts is null, neither true nor false"),
         ({"actions": np.zeros((8, 3))}, r"actions holds float64 of shape \(3,\).*discretise"),
         ({"rewards": [NAN] * 8}, r"trajectory 0, stage 1: .*reward is nan"),
-        ({"observations": np.full((8, 2), np.inf)}, r"covariate observations_0 is inf"),
+        (dict.fromkeys(["observations", "next_observations"], np.full((8, 2), np.inf)), r"observations_0 is inf"),
         ({"next_observations": np.zeros((8, 3))}, r"next_observations and observations differ in observations_2"),
         ({"rewards": np.array([(1, 2)] * 8, dtype="i4,i4")}, r"rewards holds"),
         (NOTHING | {"observations": np.zeros((0, 2)), "next_observations": np.zeros((0, 2))}, r"it has no episodes"),
