@@ -76,6 +76,36 @@ def test_several_files_follow_one_another_and_must_be_of_one_table(tmp_path):
         read_steps([files[0], other])
 
 
+STEP = {"is_last": [NO, YES], "is_terminal": [NO, YES], "observation.c": [1, None], "reward": [1, 0]}
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "column", "wanted"),
+    [
+        ({}, {"observation.c": [0.5, 1.5]}, "observation.c", [1.0, 0.5]),
+        ({"observation.c": [None, None]}, {"observation.c": ["red", "red"]}, "observation.c", [None, "red"]),
+        ({"reward": np.float32([0.5, 0])}, {"reward": [0.25, 0.0]}, "reward", [0.5, 0.25]),
+        ({"observation.c": [None, NO]}, {"observation.c": [YES, NO]}, "observation.c", [None, YES]),
+        ({"action": [b"\xc3\xb6ffne", None]}, {"action": [b"x", None]}, "action", ["\u00f6ffne", "x"]),
+        ({"action": [YES, None]}, {"action": [NO, None]}, "action", [1, 0]),
+    ],
+)
+def test_files_may_have_other_types_that_hold_the_same(tmp_path, first, second, column, wanted):
+    files = []
+    for name, of in (("a", first), ("b", second)):
+        files.append(tmp_path / f"{name}.parquet")
+        pq.write_table(pa.table({"episode_id": [name] * 2, "action": ["x", None]} | STEP | of), files[-1])
+    found = read_steps(files, SECONDS, missing="keep").stages[column]
+    assert found.astype(object).where(found.notna(), None).tolist() == wanted
+
+
+def test_files_of_no_common_type_are_refused(tmp_path):
+    rows = rows_of(episodes(), [YES] * 3)
+    files = [write_rows(tmp_path / "a", rows[:4]), write_rows(tmp_path / "b", [{**rows[4], "action": "pick"}])]
+    with refused(r"a\.parquet and 1 more: .*action has incompatible types: int64 vs string; write each column"):
+        read_steps(files, SECONDS)
+
+
 def test_without_names_episodes_begin_where_is_first_says_so(tmp_path):
     found = episodes()
     rows = [{key: value for key, value in row.items() if key != "episode_id"} for row in rows_of(found, [True] * 3)]
