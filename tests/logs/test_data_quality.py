@@ -244,7 +244,13 @@ SAME += [
     ("pick (left)", "pick left"),
     ("\u2190", " \u2190"),
 ]
-SAME += [(NFC, NFD), (NFC.upper(), NFD), ("stra\u00dfe", "STRASSE")]
+SAME += [
+    (NFC, NFD),
+    (NFC.upper(), NFD),
+    ("stra\u00dfe", "STRASSE"),
+    ("CUP", "\u0421up"),
+    ("\u0412\u0437", "\u0432\u0437"),
+]
 OTHER = [
     ("+x", "-x", "x", "x+", "x-"),
     ("+x", "\u2212x"),
@@ -285,6 +291,14 @@ def test_names_that_look_alike_are_said_by_their_code_points(tables, table, colu
     told = found(tables)["spelling"]
     assert told.startswith(rf"{what} 'cafe\u0301', 'caf\xe9' differ only in their spelling: count them as one (in")
     assert tomllib.loads(told[told.index("values =") : -1])["values"] == {NFC: NFD}
+
+
+@pytest.mark.parametrize("date", ["2025-03-01", "1-Mar", "Mar-01", "01. Mrz"])
+def test_dates_among_names(tables, date):
+    tables["stages"].loc[::3, "action"] = date
+    assert found(tables)["date-among-names"].startswith(f"actions {date} are dates, and others are not")
+    tables["stages"]["action"] = [f"2025-03-0{k % 3 + 1}" for k in range(len(tables["stages"]))]
+    assert "date-among-names" not in found(tables)
 
 
 def test_a_clock_that_runs_on(tables):

@@ -42,6 +42,9 @@ FEWEST_IN_STATE, FEWEST_STAGES, RARE_SHARE = 50, 200, 0.01
 SAME_END, NEARLY_ALL, NUM_NAMED, MOST_SPELLINGS, MOST_COUNTED = 0.01, 0.99, 3, 1000, 20
 AS_NUMBER = r"[+-]?(?:\d{1,3}(?:[.,'\u2019 ]\d{3})+(?:[.,]\d+)?|\d*[.,]\d+)"
 """A fraction, or a number with thousands separators."""
+_MONTH = "jan|feb|m[aä]r|mrz|apr|ma[iy]|jun|jul|aug|sep|o[ck]t|nov|de[cz]"
+AS_DATE = re.compile(rf"\d{{4}}-\d\d-\d\d|\d{{1,2}}[-.] ?({_MONTH})|({_MONTH})[- ]\d\d", re.IGNORECASE)
+"""A date as spreadsheet programs write it."""
 READ_AS_MISSING = {"nan", "<na>", "null", "n/a", "#n/a", "#nv", "nat"}
 """Texts, in lower case, that programs write for what is missing; none and NA are names, too."""
 NAMES_OF_ENDS = {
@@ -206,16 +209,33 @@ def _no_alternative(logs: Logs) -> Iterator[str]:
             )
 
 
-def _spelling(logs: Logs) -> Iterator[str]:
+def _names(logs: Logs) -> Iterator[tuple[str, list[Any]]]:
+    """The different causes, actions and texts of each covariate; none where they are too many for names."""
     names = [("causes", logs.trajectories["cause"]), ("actions", logs.stages["action"])]
     names += [(f"values of {name}", _texts(values)) for name, values, _ in covariate_columns(logs)]
     for what, values in names:
-        found = values.dropna().unique()
-        for same in alike(found) if len(found) <= MOST_SPELLINGS else ():
+        found = values.dropna().unique().tolist()
+        yield what, found if len(found) <= MOST_SPELLINGS else []
+
+
+def _spelling(logs: Logs) -> Iterator[str]:
+    for what, found in _names(logs):
+        for same in alike(found):
             as_first = ", ".join(f"{json.dumps(other)} = {json.dumps(same[0])}" for other in same[1:])
             yield (
                 f"{what} {_listed(spelled_out(same))} differ only in their spelling: count them as one (in a mapping: "
                 f"values = {{{as_first}}})"
+            )
+
+
+def _dates_among_names(logs: Logs) -> Iterator[str]:
+    """Find dates among other names, as spreadsheet programs make of names such as MAR-1."""
+    for what, found in _names(logs):
+        dates = [name for name in found if isinstance(name, str) and AS_DATE.fullmatch(name)]
+        if dates and 2 * len(dates) <= len(found):
+            yield (
+                f"{what} {_listed(dates)} are dates, and others are not: a spreadsheet program makes dates of names "
+                "such as MAR-1; restore what they were"
             )
 
 
@@ -315,6 +335,7 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "action-as-covariate": actions_as_covariates,
     "reward-as-covariate": rewards_as_covariates,
     "spelling": _spelling,
+    "date-among-names": _dates_among_names,
     "rare-action": _rare_actions,
     "never-completed": _never_completed,
     "no-probability": _no_probability,

@@ -56,7 +56,7 @@ def test_the_index_of_pandas_and_r_is_a_column(read_table, draft):
     assert by_row.trajectories["trajectory"].tolist() == [0, 1, 2, 3]
 
 
-@pytest.mark.parametrize("text", ["NA", "nan", "<NA>", "NULL", "#NV"])
+@pytest.mark.parametrize("text", ["NA", "nan", "<NA>", "NULL", "#NV", "#REF!", "#DIV/0!"])
 @pytest.mark.parametrize("column", ["tool", "c", "run"])
 def test_a_text_for_missing_is_no_name(read_table, column, text):
     table = seen("red", text, "blue") if column == "c" else seen("red", "red", "blue")
