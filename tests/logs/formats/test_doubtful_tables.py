@@ -144,6 +144,12 @@ def test_each_of_several_files_is_a_trajectory_unless_a_column_tells(read_files,
     assert read_event_table(files, tmp_path / "cell.toml").trajectory_ids.tolist() == list(map(str, files))
 
 
+def test_a_copy_of_a_file_is_refused(read_files):
+    copied = {"a.csv": WIDE, "b.csv": WIDE.replace("b,", "c,"), "a (1).csv": WIDE}
+    with refused(r"a \(1\)\.csv: its rows are those of .*a\.csv; leave one of the two files out"):
+        read_files(copied, STAGES.replace('"trajectory"', '"stage"'))
+
+
 def test_files_may_have_their_columns_in_another_order(read_files):
     turned = "stop,worth,ms,seconds left,tool,run\n,1,1500,9,soft,c\n"
     logs = read_files({"one.csv": WIDE, "two.csv": turned}, STAGES)

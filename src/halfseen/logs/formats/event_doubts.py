@@ -4,18 +4,19 @@ import json
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import combinations
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from halfseen.errors import warn
+from halfseen.errors import LogError, warn
 from halfseen.logs.columns import CUT, shown
 from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, Event
 from halfseen.logs.formats.bags import Trajectory
 from halfseen.logs.formats.guesses import BEGIN_LIKE
 from halfseen.logs.formats.table_cells import ROW, Cells
 from halfseen.logs.formats.table_mapping import Clock, EventMapping
-from halfseen.logs.formats.table_values import MISSING_TEXTS, NANOSECONDS, NO_CAUSES, Stamps
+from halfseen.logs.formats.table_values import MISSING_TEXTS, NANOSECONDS, NO_CAUSES, ZONED, Stamps
 from halfseen.suggestions import folded
 
 _ROUNDED = re.compile(r"-?\d([.,]\d+)?[eE]\+\d+")
@@ -25,6 +26,13 @@ FEWEST_ON_ONE_CLOCK = 5
 
 Groups: TypeAlias = Mapping[Any, list[int]]
 """Rows by the name of their trajectory."""
+
+
+def refuse_copies(tables: Sequence[Cells]) -> None:
+    """Refuse a file that has the rows of another, whose trajectories would hold each row twice (`LogError`)."""
+    for one, other in combinations(tables, 2):
+        if one.columns == other.columns:
+            raise LogError(f"{other.file}: its rows are those of {one.file}; leave one of the two files out")
 
 
 def refuse_rounded(cells: Cells, rows: Sequence[int], column: str) -> None:
@@ -41,6 +49,15 @@ def refuse_blank(cells: Cells, rows: Sequence[int], column: str, key: str) -> No
     if row is not None:
         merged = f'set fill_down = ["{column}"] in [table] if it repeats the cell above'
         cells.refuse(row, column, f"is not a valid {key}; give one, leave the row out, or {merged}")
+
+
+def refuse_one_zone(cells: Cells, clock: Clock) -> None:
+    """Refuse ends with a zone beside beginnings without one, or the reverse (`LogError`)."""
+    if clock.zone is None and clock.format is None and clock.begins:
+        ends = (clock.fields[-1], clock.begins[-1])
+        without = [column for column in ends if not ZONED.search(cells.columns[column][0])]
+        if len(without) == 1:
+            cells.refuse(0, without[0], f"has no zone, but column {({*ends} - {*without}).pop()!r} has; set clock.zone")
 
 
 def refuse_unset(cells: Cells, stamps: Stamps, clock: Clock) -> None:

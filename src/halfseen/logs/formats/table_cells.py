@@ -225,8 +225,11 @@ def _decoded(file: Path, content: bytes, encoding: str | None) -> tuple[str, str
 
 def _split(file: Path, text: str, layout: TextLayout) -> Cells:
     """Split text into cells."""
-    if "\0" in text:
-        raise LogError(f"{file}: it holds null characters; set table.encoding, such as 'utf-16', or export it as UTF-8")
+    if (at := text.find("\0")) >= 0:
+        raise LogError(
+            f"{file}, line {text.count(chr(10), 0, at) + 1}: it holds null characters; delete them if power was lost "
+            "there; else set table.encoding, such as 'utf-16', or export it as UTF-8"
+        )
     lines = io.StringIO(text, newline="")
     for _ in range(layout.heading - 1):
         lines.readline()
