@@ -292,17 +292,21 @@ def faces(form: str) -> bytes:
 
 @pytest.mark.parametrize("form", ORDERS)
 @pytest.mark.parametrize("kind", ["float", "double"])
-@pytest.mark.parametrize("has_lists", [False, True])
+@pytest.mark.parametrize(
+    ("has_lists", "names"),
+    [(False, ("red", "green", "blue")), (True, ("diffuse_red", "diffuse_green", "diffuse_blue")), (True, tuple("rgb"))],
+)
 def test_ply_files_of_both_byte_orders_are_read_past_other_properties_and_elements(
-    tmp_path, points, colours, form, kind, has_lists
+    tmp_path, points, colours, form, kind, has_lists, names
 ):
     """Written by hand: a reader that took a number for its neighbour, or turned its bytes, would miss by far."""
-    kinds = {"nx": "float", "x": kind, "quality": "short", "red": "uchar", "y": kind, "green": "uchar", "flag": "char"}
-    kinds |= {"z": kind, "blue": "uchar", "where": "int"}
+    red, green, blue = names
+    kinds = {"nx": "float", "x": kind, "quality": "short", red: "uchar", "y": kind, green: "uchar", "flag": "char"}
+    kinds |= {"z": kind, blue: "uchar", "where": "int"}
     sizes = {"float": "f4", "double": "f8", "short": "i2", "uchar": "u1", "char": "i1", "int": "i4"}
     vertex = np.zeros(NUM, [(name, ORDERS[form] + sizes[each]) for name, each in kinds.items()])
     vertex["nx"], vertex["quality"], vertex["flag"], vertex["where"] = -1.5, -7, -2, 123456
-    for k, (axis, name) in enumerate(zip("xyz", ("red", "green", "blue"), strict=True)):
+    for k, (axis, name) in enumerate(zip("xyz", names, strict=True)):
         vertex[axis], vertex[name] = points[:, k] + (0.0 if kind == "float" else 1e-12), colours[:, k]
     rows = "".join(f"{' '.join(repr(value.item()) for value in row)}\n" for row in vertex)
     body = rows.encode() if form == "ascii" else vertex.tobytes()

@@ -81,7 +81,8 @@ def _warn_of_scale(K: Intrinsics, shape: tuple[int, ...], path: Path) -> None:
 
 # A header has a few dozen lines.
 MOST_HEADER_BYTES = 10**6
-COLOURS = ("red", "green", "blue")
+# Red, green and blue, as most and as some programs call them.
+COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 # Properties of an element ``camera``: its position, and the rows of the matrix from its axes to the position's frame.
 EYE = ("view_px", "view_py", "view_pz")
 AXES = tuple(f"{row}_axis{column}" for row in "xyz" for column in "xyz")
@@ -158,15 +159,16 @@ def _check_counts(content: bytes, path: Path) -> None:
 
 
 def _colours(vertex: Shaped[np.ndarray, " n"], path: Path) -> Colours | None:
-    if not set(COLOURS) <= set(vertex.dtype.names or ()):
+    found = next((names for names in COLOURS if {*names} <= {*(vertex.dtype.names or ())}), None)
+    if found is None:
         return None
-    kinds = [vertex.dtype[name] for name in COLOURS]
+    kinds = [vertex.dtype[name] for name in found]
     if any(kind != np.uint8 for kind in kinds):
         raise CloudError(
             f"{path}: red, green and blue are {', '.join(map(str, kinds))}; a colour needs three uchar from 0 to 255: "
             "export it so, or leave it out"
         )
-    return np.stack([vertex[name] for name in COLOURS], axis=1)
+    return np.stack([vertex[name] for name in found], axis=1)
 
 
 _READERS: dict[str, Callable[[Path], Cloud]] = {".pcd": read_pcd, ".ply": read_ply, ".npz": read_npz}
