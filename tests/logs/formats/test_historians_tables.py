@@ -199,6 +199,17 @@ def test_an_event_that_stands_there_twice_counts_once(read_table, event):
     assert [stage[2] for stage in stages(twice)] == [1.5, 3.0]
 
 
+@pytest.mark.parametrize(
+    ("good", "bad"), [("Good", "Bad"), ("StatusCode(Good)", "StatusCode(BadNoData)"), ("192", "0")]
+)
+def test_values_of_bad_quality_are_told_of(read_table, good, bad):
+    heading, *rows = WIDE.splitlines()
+    text = "\n".join([f"{heading},q", *(f"{row},{bad if k == 2 else good}" for k, row in enumerate(rows))])
+    with pytest.warns(HalfseenWarning, match=r"column 'q': it is '.*' in 1 rows, whose values count like any others"):
+        read_table(text, STAGES)
+    read_table(text.replace(good, "7"), STAGES)
+
+
 def test_a_mapping_and_a_table_may_begin_with_the_mark_of_utf_8(read_table):
     for mapping in (HISTORIAN, f'{HISTORIAN}\ntable = {{encoding = "utf-8"}}'):
         assert (

@@ -20,6 +20,9 @@ from halfseen.logs.formats.table_values import MISSING_TEXTS, NANOSECONDS, NO_CA
 from halfseen.suggestions import folded
 
 _ROUNDED = re.compile(r"-?\d([.,]\d+)?[eE]\+\d+")
+_GOOD, _BAD = (re.compile(rf"(?<![a-z]){word}", re.IGNORECASE) for word in ("good", "bad|uncertain"))
+_GOOD_CODES, _BAD_CODES = ("192", "216"), ["0", "4", "8", "12", "16", "20", "24", "28", "64", "68", "80", "84", "88"]
+"""Qualities of values in OPC UA, as text, and in classic OPC."""
 FEWEST_ON_ONE_CLOCK = 5
 """Number of trajectories that show that a clock runs on across trajectories."""
 
@@ -102,6 +105,19 @@ def warn_of_respelled_events(cells: Cells, mapping: EventMapping) -> None:
         if meant is not None and event not in mapped:
             trouble = f"{count:,} events {shown(event)} are not mapped, and differ from {shown(meant)} only in spelling"
             warn(cells.file, f"{trouble}; name them in the mapping, too, if they are the same")
+
+
+def warn_of_bad_values(cells: Cells, mapping: EventMapping) -> None:
+    """Warn about rows that a column beside the mapped ones calls bad, as the quality of a historian does."""
+    mapped = {mapping.column(key) for key in mapping.entries} | {name for _, name in mapping.clock.columns}
+    for name in (name for name in cells.columns if name not in mapped | {mapping.topic}):
+        counts = Counter(cells.columns[name])
+        has_codes = "192" in counts and counts.keys() <= {*_BAD_CODES, *_GOOD_CODES}
+        bad = [text for text in counts if _BAD.search(text) or (has_codes and text in _BAD_CODES)]
+        if bad and (has_codes or any(map(_GOOD.search, counts))):
+            num_bad = sum(counts[text] for text in bad)
+            trouble = f"it is {shown(bad[0])} in {num_bad:,} rows, whose values count like any others"
+            warn(f"{cells.file}, column {name!r}", f"{trouble}; leave them out if it tells how they were measured")
 
 
 def warn_of_repeats(cells: Cells, mapping: EventMapping) -> None:

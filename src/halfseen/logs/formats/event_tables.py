@@ -73,12 +73,12 @@ def read_event_table(
     cells, wanted = with_ending(refuse_empty(cells), wanted, file)
     _check_columns(cells, wanted, file)
     event_doubts.warn_of_respelled_events(cells, wanted)
+    event_doubts.warn_of_bad_values(cells, wanted)
     cells = cells if wanted.topic is None else _without_repeats(cells)
     event_doubts.warn_of_repeats(cells, wanted)
     needed = {name: wanted.origin(f"covariates.{name}") for name in wanted.covariates}
-    late: Counter[str] = Counter()
     finishing, remedy = wanted.ending.finishing, _remedy_after_ending(cells, wanted)
-    found, num_stale = [], 0
+    found, num_stale, late = [], 0, Counter[str]()
     for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
         late.update(event_doubts.late_covariates(events))
         trajectory = Trajectory(number if name is None else name, needed, finishing, cause=LOG_ENDED, remedy=remedy)
