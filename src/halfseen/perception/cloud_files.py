@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from halfseen.arrays import Intrinsics
+from halfseen.arrays import Image, Intrinsics
 from halfseen.errors import CloudError, warn
 from halfseen.perception.clouds import Cloud, Colours, check_intrinsics, check_num_points, is_rotation
 from halfseen.perception.frames import FRAME_COMMENT, OWN, Viewpoint, camera_of
@@ -52,6 +52,7 @@ def read_npz(path: Path) -> Cloud:
         )
     check_num_points(depth.size, str(path))
     _warn_of_scale(K.astype(np.float64), depth.shape, path)
+    _warn_of_ranges(depth.astype(np.float64), K.astype(np.float64), path)
     if picture is not None and (picture.shape != (*depth.shape, 3) or picture.dtype != np.uint8):
         raise CloudError(
             f"{path}: rgb is {picture.dtype} of shape {picture.shape}; it must be uint8 of shape {(*depth.shape, 3)}, "
@@ -77,6 +78,38 @@ def _warn_of_scale(K: Intrinsics, shape: tuple[int, ...], path: Path) -> None:
             f"{size_px[1]:.0f}, but depth_m has {shape[0]} by {shape[1]}; scale K as the image was scaled, unless "
             "depth_m is cut out of a larger one",
         )
+
+
+# Bends of the inverse of distances along rays, by `_bend`, and of depths made of them; that of depths is about 0.
+MOST_OF_RANGES, MOST_OF_DEPTHS = -0.5, 0.35
+FEWEST_BENDS = 1000
+
+
+def _warn_of_ranges(depth_m: Image, K: Intrinsics, path: Path) -> None:
+    """Warn of distances along the rays in place of depths, of which alone the inverse is linear on a plane."""
+    row, column = np.indices(depth_m.shape)
+    ray = np.sqrt(1.0 + ((column - K[0, 2]) / K[0, 0]) ** 2 + ((row - K[1, 2]) / K[1, 1]) ** 2)
+    with np.errstate(all="ignore"):
+        inverse = 1.0 / np.where(depth_m > 0.0, depth_m, np.nan)
+        is_bent = min(depth_m.shape) >= SMALLEST_SIDE_PX and _bend(inverse, K) < MOST_OF_RANGES
+        is_range = is_bent and abs(_bend(inverse * ray, K)) < MOST_OF_DEPTHS
+    if is_range:
+        warn(
+            path,
+            "depth_m seems to hold distances along the rays of the pixels, as some simulators give them; give those "
+            "along the optical axis: divide by the length of ((u − cx) / fx, (v − cy) / fy, 1)",
+        )
+
+
+def _bend(values: Image, K: Intrinsics) -> float:
+    """Median second difference over an eighth of the image, as a share of the value by the square of the angle."""
+    bends = []
+    for axis in (0, 1):
+        step, along = values.shape[axis] // 8, np.moveaxis(values, axis, 0)
+        middle = along[step:-step]
+        bends.append(((along[: -2 * step] + along[2 * step :]) / middle - 2.0) * (K[1 - axis, 1 - axis] / step) ** 2)
+    there = np.concatenate([bend[np.isfinite(bend)] for bend in bends])
+    return float(np.median(there)) if len(there) >= FEWEST_BENDS else 0.0
 
 
 # A header has a few dozen lines.

@@ -11,6 +11,8 @@ from halfseen.shapes import Float, Shaped, UInt8
 
 # Largest median distance and largest distance of points from the camera [m].
 LARGEST_MEDIAN_DISTANCE_M, LARGEST_DISTANCE_M = 50.0, 1000.0
+# Depth of a pixel without return in millimetres of 16 bits, and the tolerance of a depth of single precision [m].
+SATURATED_M, SAME_DEPTH_M = 65.535, 1e-5
 # Largest skew of a pinhole camera, as a share of the focal length.
 LARGEST_SKEW = 0.02
 # Largest entry of a pinhole matrix; images are a few thousand pixels wide [px].
@@ -161,7 +163,8 @@ class Cloud:
         Parameters
         ----------
         depth_m
-            Depth of each pixel along the optical axis [m]; 0, negative or not finite where nothing returned.
+            Depth of each pixel along the optical axis [m]; 0, negative, not finite or `SATURATED_M` where nothing
+            returned.
         K
             Pinhole matrix [px].
         name
@@ -176,7 +179,8 @@ class Cloud:
         """
         check_intrinsics(K, name)
         num_rows, num_columns = depth_m.shape
-        depth = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.nan).astype(np.float64)
+        is_return = np.isfinite(depth_m) & (depth_m > 0) & (np.abs(depth_m - SATURATED_M) > SAME_DEPTH_M)
+        depth = np.where(is_return, depth_m, np.nan).astype(np.float64)
         row, column = np.mgrid[:num_rows, :num_columns].astype(np.float64)
         x = (column - K[0, 2]) / K[0, 0] * depth
         y = (row - K[1, 2]) / K[1, 1] * depth
