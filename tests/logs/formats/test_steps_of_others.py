@@ -184,13 +184,16 @@ def test_lists_of_any_kind_are_columns(tmp_path, kind):
 # Arrays of D4RL.
 
 
-@pytest.mark.parametrize("has_next", [True, False])
+@pytest.mark.parametrize(
+    ("has_next", "flags"), [(True, "timeouts"), (False, "truncations"), (True, "episode_terminals")]
+)
 @pytest.mark.parametrize(("truncated", "ending"), [("cut", CUT), ("finished", FINISHED)])
-def test_each_ending_of_arrays_has_its_meaning(tmp_path, has_next, truncated, ending):
+def test_each_ending_of_arrays_has_its_meaning(tmp_path, has_next, flags, truncated, ending):
     found = episodes(lengths=(3, 1, 2, 4))
     # The third both terminates and times out, and the last does neither.
-    file = write_arrays(tmp_path / "a.hdf5", arrays(found, terminated=[0, 2], timed_out=[1, 2], has_next=has_next))
-    logs = read_step_arrays(file, StepRules(step_s=0.5, truncated=truncated))
+    rows = arrays(found, terminated=[0, 2], timed_out=[1, 2], has_next=has_next)
+    rows[flags] = rows.pop("timeouts") | (rows["terminals"] & (flags == "episode_terminals"))
+    logs = read_step_arrays(write_arrays(tmp_path / "a.hdf5", rows), StepRules(step_s=0.5, truncated=truncated))
     endings = [FINISHED, ending, FINISHED, ("cut", "end-of-data")]
     assert_is(logs, expected(found, endings, times_of(found, 0.5), IN_ARRAYS, has_last=has_next))
 
