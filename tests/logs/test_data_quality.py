@@ -293,6 +293,19 @@ def test_names_that_look_alike_are_said_by_their_code_points(tables, table, colu
     assert tomllib.loads(told[told.index("values =") : -1])["values"] == {NFC: NFD}
 
 
+@pytest.mark.parametrize("form", ["{}%", "{},5 kg", "0:{:02}:00", "2025-01-{:02}", "-{} °C"])
+def test_texts_of_measured_values(tables, form):
+    rows = len(tables["stages"])
+    tables["stages"]["c"] = [form.format(10 + k % 12) for k in range(rows)]
+    assert (
+        f"covariate c is text that looks like numbers, such as '{form.format(10)}'" in found(tables)["number-as-text"]
+    )
+    # Sizes of a tool, or hours of shifts; numbers of parts; and of bins.
+    for name in (form.format, "{:03}".format, lambda k: f"{k}{'AB'[k % 2]}"):
+        tables["stages"]["c"] = [name(10 + k % (4 if name == form.format else 12)) for k in range(rows)]
+        assert "number-as-text" not in found(tables)
+
+
 @pytest.mark.parametrize("date", ["2025-03-01", "1-Mar", "Mar-01", "01. Mrz"])
 def test_dates_among_names(tables, date):
     tables["stages"].loc[::3, "action"] = date
