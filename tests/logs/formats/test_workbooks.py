@@ -80,6 +80,15 @@ def test_durations_of_days_in_a_format_of_times_are_durations(tmp_path, epoch):
     assert found == ["00:01:30", "1 days 00:00:00", "1 days 01:30:00"]
 
 
+def test_a_heading_of_every_page_is_refused(tmp_path):
+    book = openpyxl.Workbook()
+    for row in (["took", "tool"], [1, "a"], ["took", "tool"], [2, "b"]):
+        book.active.append(row)
+    book.save(tmp_path / "t.xlsx")
+    with refused(r"t\.xlsx, row 3: the heading stands here, too, as where another table was put below; delete it"):
+        read_cells(tmp_path / "t.xlsx", TextLayout())
+
+
 def test_a_trial_and_events_of_a_workbook_are_logs(tmp_path):
     with pytest.warns(HalfseenWarning, match="of its sheets 'Runs', 'Events', 'Notes', the first is read"):
         logs = read(tmp_path, OF_TRIAL)

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from statistics import mode
+from statistics import multimode
 from typing import Any, BinaryIO, NoReturn
 
 import msgspec
@@ -283,6 +283,11 @@ def _checked(cells: Cells, names: list[str]) -> Cells:
     refuse_repeated(cells.file, names)
     if "" in names:
         raise LogError(f"{cells.file}: column {names.index('') + 1} has no name; give it one, or set table.heading")
+    for row, of_row in enumerate(zip(*cells.columns.values(), strict=True)):
+        if of_row == (*cells.columns,):
+            raise LogError(
+                f"{cells.place(row)}: the heading stands here, too, as where another table was put below; delete it"
+            )
     return cells
 
 
@@ -318,7 +323,7 @@ def heading_of(file: Path) -> int:
         ways = [{number: line.count(separator) for number, line in lines} for separator in SEPARATORS]
     found: dict[int, int] = {}
     for sizes in ways:
-        usual = mode(sizes.values()) if sizes else 0
+        usual = max(multimode(sizes.values()), default=0)
         if usual:
             found[usual] = next(number for number, size in sizes.items() if size >= max(1, usual - 1))
     return found[max(found)] if found else 1
