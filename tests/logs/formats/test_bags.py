@@ -150,6 +150,14 @@ def test_fields_are_paths_into_messages(read):
     assert logs.stages[list(seen)].to_numpy().tolist() == [[0.25, 0.75, "a"]]
 
 
+def test_a_topic_that_was_recorded_twice_counts_once(read):
+    messages = one_trajectory(number(0.5, "/x", 0.25))
+    twice = [each for each in messages for _ in range(2)]
+    with pytest.warns(HalfseenWarning, match="3 messages repeat one of the same time"):
+        logs = read(twice, SMALL | {"covariates.x": "/x data"})
+    assert logs.stages[["action", "elapsed_s", "reward", "x"]].to_numpy().tolist() == [["A", 1.5, 1.0, 0.25]]
+
+
 LATER = [joints(2.6, "/joints", [0.1], ["finger"]), joints(2.7, "/joints", [0.9, 0.4], ["arm.b", "a"])]
 TWO = [joints(0.1, "/joints", [0.5, 0.75], ["a", "arm.b"]), *one_trajectory()[:-1], *LATER]
 TWO += [text(3.0, "/action", "A"), number(4.0, "/reward", 1.0), text(4.5, "/end", "finished")]

@@ -158,6 +158,10 @@ def test_whole_numbers_may_name_actions(draft):
     draft(steps.replace(",3,", ",0.5,"), "# [action]")
 
 
+def test_a_heading_is_found_below_as_many_other_lines_as_there_are_rows(draft):
+    assert "heading = 3  # guess: the line that names the columns" in draft("of X\nof Y\nrun,tool,ms\na,x,1500\n")
+
+
 @pytest.mark.parametrize(
     ("name", "line"),
     [

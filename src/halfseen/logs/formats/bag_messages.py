@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.errors import ArgumentError, LogError
+from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.logs.formats.bag_fields import AbsentEntryError, part, value_of
 from halfseen.logs.formats.bag_files import BagMessage, decoded, messages_of, opened_bag
 from halfseen.logs.formats.mapping import BagMapping, ValueSource
@@ -31,6 +31,12 @@ EARLIEST_DATE_NS = 10**18
 """Larger stamps are dates, not counted from where a controller or a simulation started [ns since 1970]."""
 MOST_LATE_NS = 5 * 10**9
 """Largest delay of a late message after which the clock goes on as before [ns]."""
+
+
+_DEEDS = ("trajectory", "action", "reward", "ending")
+"""Keys of values that come once at one time."""
+LONGEST_REPEAT_NS = 10**6
+"""Messages that are equal and have one stamp are one if recorded within this; simulations repeat stamps later [ns]."""
 
 
 class Event(NamedTuple):
@@ -92,6 +98,8 @@ def read_events(bag: Path, mapping: BagMapping, named: dict[str, str]) -> list[l
         by_topic.setdefault(source.topic, []).append((key, source))
     events: list[tuple[int, Event]] = []
     absent: dict[str, AbsentEntryError] = {}
+    done: dict[Event, int] = {}
+    num_repeats = 0
     with opened_bag(bag) as reader:
         wanted = [channel for channel in reader.channels if channel.topic in by_topic]
         num_clouds = 0
@@ -108,7 +116,14 @@ def read_events(bag: Path, mapping: BagMapping, named: dict[str, str]) -> list[l
                     except AbsentEntryError as error:
                         absent[key] = error
                         continue
-                events.append((recorded.log_ns, Event(stamp_ns, key, value)))
+                event = Event(stamp_ns, key, value)
+                if key in _DEEDS and abs(recorded.log_ns - done.get(event, np.inf)) < LONGEST_REPEAT_NS:
+                    num_repeats += 1
+                    continue
+                done[event] = recorded.log_ns
+                events.append((recorded.log_ns, event))
+    if num_repeats:
+        warn(bag, f"{num_repeats:,} messages repeat one of the same time, as where a topic was recorded twice; skipped")
     for key in absent.keys() - {event.key for _, event in events}:
         raise absent[key]
     _refuse_unset(bag, [event for _, event in events], mapping)
