@@ -1,6 +1,7 @@
 """Tables of which a careless reader makes another log: names, times and files that are taken for what they are not."""
 
 import datetime
+from contextlib import nullcontext
 
 import numpy as np
 import pyarrow as pa
@@ -123,6 +124,20 @@ def test_rows_of_one_name_that_stand_apart_are_warned_of(read_table, read_files)
     mixed = heading + "".join(sorted(rows, key=lambda row: row.split(";")[0][14:19]))  # of two robots, by one clock
     with pytest.warns(HalfseenWarning, match="rows are sorted by time"):
         assert stages(read_table(mixed, HISTORIAN), "weight") == GERMAN_STAGES
+
+
+@pytest.mark.parametrize(("again", "is_told"), [("27T10:05", False), ("29T10:00", True)])
+def test_events_of_one_name_that_are_days_apart_are_warned_of(read_table, again, is_told):
+    row = "2025-10-{0}:0{1};{2};{3};{4};{5}\n".format
+    text = "Zeit;Lauf;Ereignis;Text;Wert\n"
+    for time, run in (("27T10:00", 1), ("27T10:01", 2), (again, 1)):
+        cells = [("Gewicht", "", "1.5"), ("Griff", "x", ""), ("Ablage", "", "2.5")] + [("Ende", "fertig", "")] * (
+            run == 2
+        )
+        text += "".join(row(time, k, run, *each) for k, each in enumerate(cells))
+    told = "line 9: rows of trajectory 1 have long pauses, as in 1 of 2 trajectories, and each counts as one: if names"
+    with pytest.warns(HalfseenWarning, match=told) if is_told else nullcontext():
+        read_table(text, HISTORIAN.replace('"Zeit"', '"Zeit", zone = "UTC"').replace('"Säule" = "column"', 'x = "y"'))
 
 
 def test_each_of_several_files_is_a_trajectory_unless_a_column_tells(read_files, tmp_path):

@@ -23,6 +23,8 @@ _ROUNDED = re.compile(r"-?\d([.,]\d+)?[eE]\+\d+")
 _GOOD, _BAD = (re.compile(rf"(?<![a-z]){word}", re.IGNORECASE) for word in ("good", "bad|uncertain"))
 _GOOD_CODES, _BAD_CODES = ("192", "216"), ["0", "4", "8", "12", "16", "20", "24", "28", "64", "68", "80", "84", "88"]
 """Qualities of values in OPC UA, as text, and in classic OPC."""
+LEAST_PAUSE_NS, PAUSE = NANOSECONDS["h"], 1000.0
+"""A pause within a trajectory is long from here on [ns], and from this many times the usual time between rows on."""
 FEWEST_ON_ONE_CLOCK = 5
 """Number of trajectories that show that a clock runs on across trajectories."""
 
@@ -131,22 +133,32 @@ def warn_of_repeats(cells: Cells, mapping: EventMapping) -> None:
         warn(cells.place(repeats[0]), f"{trouble}; if it was written twice, delete it")
 
 
-def warn_of_rows_apart(cells: Cells, groups: Groups, mapping: EventMapping) -> None:
-    """Warn about trajectories whose rows do not stand together: their names may have been used again."""
+def warn_of_rows_apart(cells: Cells, groups: Groups, stamps: Stamps, mapping: EventMapping) -> None:
+    """Warn about trajectories whose rows stand apart, in the table or in time: their names may have been used again."""
     if mapping.topic is not None and mapping.clock.since is None:
-        return
-    order = np.sort(np.concatenate([np.asarray(rows, dtype=np.int64) for rows in groups.values()]))
-    places = {name: np.searchsorted(order, rows) for name, rows in groups.items()}
-    breaks = {name: np.flatnonzero(np.abs(np.diff(at)) > 1) for name, at in places.items()}
-    apart = [(groups[name][at[0] + 1], name) for name, at in breaks.items() if len(at)]
+        is_named = mapping.trajectory is not None and not mapping.has_begins
+        apart, how = _apart_in_time(groups, stamps) if is_named else [], "have long pauses"
+    else:
+        order = np.sort(np.concatenate([np.asarray(rows, dtype=np.int64) for rows in groups.values()]))
+        places = {name: np.searchsorted(order, rows) for name, rows in groups.items()}
+        breaks = {name: np.flatnonzero(np.abs(np.diff(at)) > 1) for name, at in places.items()}
+        apart, how = [(groups[name][at[0] + 1], name) for name, at in breaks.items() if len(at)], "are not adjacent"
     if apart:
         row, name = apart[0]
         warn(
             cells.place(row),
-            f"rows of trajectory {shown(name)} are not adjacent, as in {len(apart):,} of {len(groups):,} "
-            "trajectories, and each counts as one: if names were reused, convert each part separately, and join the "
-            "logs",
+            f"rows of trajectory {shown(name)} {how}, as in {len(apart):,} of {len(groups):,} trajectories, and each "
+            "counts as one: if names were reused, convert each part separately, and join the logs",
         )
+
+
+def _apart_in_time(groups: Groups, stamps: Stamps) -> list[tuple[int, Any]]:
+    """The first row after a long pause of each trajectory with one, and its name, if rows usually follow soon."""
+    ordered = {name: sorted(rows, key=lambda row: stamps[row]) for name, rows in groups.items()}
+    steps = {name: np.diff(stamps[rows]) for name, rows in ordered.items()}
+    usual = float(np.median(np.concatenate([*steps.values(), np.zeros(1)])))
+    longest = max(LEAST_PAUSE_NS, PAUSE * usual)
+    return [(ordered[name][int(at.argmax()) + 1], name) for name, at in steps.items() if at.max(initial=0) > longest]
 
 
 def warn_of_reordered(cells: Cells, groups: Groups, stamps: Stamps, mapping: EventMapping) -> None:

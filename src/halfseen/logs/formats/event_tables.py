@@ -175,7 +175,7 @@ def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tu
     has_begins, since, finishing = mapping.has_begins, mapping.clock.since, mapping.ending.finishing
     ending_texts = cells.columns[mapping.column("ending")]
     groups = _groups(cells, mapping, values_of, stamps)
-    event_doubts.warn_of_rows_apart(cells, groups, mapping)
+    event_doubts.warn_of_rows_apart(cells, groups, stamps, mapping)
     event_doubts.warn_of_reordered(cells, groups, stamps, mapping)
     early: list[int] = []
     for name, unordered in groups.items():

@@ -13,7 +13,7 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, warn
 from halfseen.logs.columns import first_true, shown
-from halfseen.logs.formats.compact_dates import compact_format
+from halfseen.logs.formats.compact_dates import are_times_of_day, compact_format
 from halfseen.logs.formats.durations import LASTED, LASTED_SHORT, are_durations, durations_ns
 from halfseen.logs.formats.table_cells import Cells
 from halfseen.logs.formats.table_mapping import Clock
@@ -329,6 +329,11 @@ def _counted(cells: Cells, column: str, factor: int, marks: Marks) -> Stamps:
     rounded = next((cell for cell in cells.columns[column] if _OF_FEW_DIGITS.fullmatch(cell)), None)
     if rounded is not None:
         warn(f"{cells.file}, column {column!r}", f"times such as {rounded!r} are rounded; export them with all digits")
+    if factor == NANOSECONDS["s"] and are_times_of_day(cells.columns[column]):
+        trouble = (
+            'look like hours, minutes and seconds, as no minute or second is above 59; if so, set format = "%H%M%S"'
+        )
+        warn(f"{cells.file}, column {column!r}", f"times such as {cells.columns[column][0]!r} {trouble}")
     stamps = np.zeros(len(cells.rows), dtype=np.int64)
     for row, cell in enumerate(cells.columns[column]):
         if (number := plain_number(cell, marks)) is None:
