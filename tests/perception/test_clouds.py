@@ -310,7 +310,12 @@ def test_ply_files_of_both_byte_orders_are_read_past_other_properties_and_elemen
         vertex[axis], vertex[name] = points[:, k] + (0.0 if kind == "float" else 1e-12), colours[:, k]
     rows = "".join(f"{' '.join(repr(value.item()) for value in row)}\n" for row in vertex)
     body = rows.encode() if form == "ascii" else vertex.tobytes()
-    head = ["ply", f"format {form} 1.0", "comment by hand", *(["element face 3", *FACES] if has_lists else [])]
+    head = [
+        "ply",
+        f"format {form} 1.0",
+        "comment by hand, in a Büro",
+        *(["element face 3", *FACES] if has_lists else []),
+    ]
     head += [f"element vertex {NUM}", *(f"property {each} {name}" for name, each in kinds.items())]
     head += [*(["element strip 3", *FACES] if has_lists else []), "end_header", ""]
     lists = faces(form) if has_lists else b""
@@ -318,6 +323,26 @@ def test_ply_files_of_both_byte_orders_are_read_past_other_properties_and_elemen
     cloud = read_cloud(tmp_path / "cloud.ply")
     np.testing.assert_array_equal(cloud.points_m, np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(np.float64))
     np.testing.assert_array_equal(cloud.colours, colours)
+
+
+@pytest.mark.parametrize("names", [("red", "green", "blue"), tuple("rgb")])
+@pytest.mark.parametrize("data", ["ascii", "binary"])
+def test_colours_of_a_pcd_file_may_be_three_fields(tmp_path, points, colours, names, data):
+    rows = np.zeros(NUM, [(axis, "<f4") for axis in "xyz"] + [(name, "u1") for name in names])
+    for k, (axis, name) in enumerate(zip("xyz", names, strict=True)):
+        rows[axis], rows[name] = points[:, k], colours[:, k]
+    head = f"FIELDS x y z {' '.join(names)}\nSIZE 4 4 4 1 1 1\nTYPE F F F U U U\nWIDTH {NUM}\nHEIGHT 1\nPOINTS {NUM}\n"
+    text = "".join(f"{' '.join(repr(value.item()) for value in row)}\n" for row in rows)
+    body = text.encode() if data == "ascii" else rows.tobytes()
+    (tmp_path / "a.pcd").write_bytes(f"{head}DATA {data}\n".encode() + body)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").colours, colours)
+
+
+def test_a_number_of_windows_is_not_cut_at_its_sign(tmp_path):
+    head = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n"
+    (tmp_path / "a.pcd").write_text(f"{head}0.5 0.5 1.#QNAN\n")
+    with refused("could not convert string '1.#QNAN'", CloudError):
+        read_cloud(tmp_path / "a.pcd")
 
 
 def npz_of_colours(path: Path, rgb: np.ndarray) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from halfseen.arrays import Image, Intrinsics
 from halfseen.errors import CloudError, warn
-from halfseen.perception.clouds import Cloud, Colours, check_intrinsics, check_num_points, is_rotation
+from halfseen.perception.clouds import COLOURS, Cloud, check_intrinsics, check_num_points, colours_of, is_rotation
 from halfseen.perception.frames import FRAME_COMMENT, OWN, Viewpoint, camera_of
 from halfseen.perception.pcd import read_pcd
 from halfseen.reading import CLOUD, names_in_archive, read_arrays, read_bytes, reason_of
@@ -114,8 +114,6 @@ def _bend(values: Image, K: Intrinsics) -> float:
 
 # A header has a few dozen lines.
 MOST_HEADER_BYTES = 10**6
-# Red, green and blue, as most and as some programs call them.
-COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 # Properties of an element ``camera``: its position, and the rows of the matrix from its axes to the position's frame.
 EYE = ("view_px", "view_py", "view_pz")
 AXES = tuple(f"{row}_axis{column}" for row in "xyz" for column in "xyz")
@@ -143,7 +141,7 @@ def read_ply(path: Path) -> Cloud:
     _check_counts(content, path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # about empty lists in text files
-        ply = PlyData.read(io.BytesIO(content))
+        ply = PlyData.read(io.BytesIO(_in_ascii(content)))
     if "vertex" not in ply or not {"x", "y", "z"} <= set(ply["vertex"].data.dtype.names):
         raise CloudError(f"{path}: has no element 'vertex' with x, y and z; export it as a point cloud in metres")
     vertex = ply["vertex"].data
@@ -153,7 +151,8 @@ def read_ply(path: Path) -> Cloud:
     comments = [comment.split() for comment in ply.comments]
     frame = next((words[1] for words in comments if len(words) > 1 and words[0] == FRAME_COMMENT), None)
     camera = camera_of(points, shape, viewpoint, str(path), frame)
-    colours = _colours(vertex, path)
+    found = next((names for names in COLOURS if {*names} <= {*vertex.dtype.names}), None)
+    colours = None if found is None else colours_of([vertex[name] for name in found], str(path))
     return Cloud(points, shape, None, path.name, camera.eye_m, colours, camera.axes)
 
 
@@ -176,6 +175,12 @@ def _camera(
     return ((grid[0], grid[1]) if is_grid else None), Viewpoint(eye, left @ right)
 
 
+def _in_ascii(content: bytes) -> bytes:
+    """The file with a question mark for each byte of a comment that is not ASCII, which its reader refuses."""
+    end = content.find(b"end_header")
+    return bytes(byte if byte < 128 else 63 for byte in content[:end]) + content[end:]
+
+
 def _check_counts(content: bytes, path: Path) -> None:
     """Refuse a header that declares more rows than the file has bytes, as memory would be allocated for all of them."""
     header = content[: content.find(b"end_header")][:MOST_HEADER_BYTES].decode("ascii", errors="replace")
@@ -189,19 +194,6 @@ def _check_counts(content: bytes, path: Path) -> None:
             )
         if word == "element" and rest.startswith("vertex ") and count.isascii() and count.isdigit():
             check_num_points(int(count[:18]), str(path))
-
-
-def _colours(vertex: Shaped[np.ndarray, " n"], path: Path) -> Colours | None:
-    found = next((names for names in COLOURS if {*names} <= {*(vertex.dtype.names or ())}), None)
-    if found is None:
-        return None
-    kinds = [vertex.dtype[name] for name in found]
-    if any(kind != np.uint8 for kind in kinds):
-        raise CloudError(
-            f"{path}: red, green and blue are {', '.join(map(str, kinds))}; a colour needs three uchar from 0 to 255: "
-            "export it so, or leave it out"
-        )
-    return np.stack([vertex[name] for name in found], axis=1)
 
 
 _READERS: dict[str, Callable[[Path], Cloud]] = {".pcd": read_pcd, ".ply": read_ply, ".npz": read_npz}

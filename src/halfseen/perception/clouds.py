@@ -1,5 +1,6 @@
 """Depth cameras with their noise, and the point clouds that they return."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias, runtime_checkable
 
@@ -13,6 +14,8 @@ from halfseen.shapes import Float, Shaped, UInt8
 LARGEST_MEDIAN_DISTANCE_M, LARGEST_DISTANCE_M = 50.0, 1000.0
 # Depth of a pixel without return in millimetres of 16 bits, and the tolerance of a depth of single precision [m].
 SATURATED_M, SAME_DEPTH_M = 65.535, 1e-5
+# Red, green and blue of files, as most and as some programs call them.
+COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 # Largest skew of a pinhole camera, as a share of the focal length.
 LARGEST_SKEW = 0.02
 # Largest entry of a pinhole matrix; images are a few thousand pixels wide [px].
@@ -296,3 +299,13 @@ def _checked_colours(colours: Shaped[np.ndarray, "..."], num_points: int, name: 
             "green and blue of each point as uint8, or colours=None"
         )
     return colours.copy()
+
+
+def colours_of(columns: Sequence[Shaped[np.ndarray, " n"]], name: str) -> Colours:
+    """Colours of three columns, red, green and blue, of a file `name`; refuse other than bytes (`CloudError`)."""
+    if any(column.dtype != np.uint8 for column in columns):
+        raise CloudError(
+            f"{name}: red, green and blue are {', '.join(str(column.dtype) for column in columns)}; a colour needs "
+            "three uchar from 0 to 255: export it so, or leave it out"
+        )
+    return np.stack(columns, axis=1)
