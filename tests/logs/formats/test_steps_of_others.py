@@ -99,6 +99,19 @@ def test_files_may_have_other_types_that_hold_the_same(tmp_path, first, second, 
     assert found.astype(object).where(found.notna(), None).tolist() == wanted
 
 
+DATES = pa.array([0, 1_500_000, 5_000_000, 7_250_000], pa.timestamp("us", "Europe/Berlin"))
+
+
+@pytest.mark.parametrize(
+    "clock", [DATES, DATES.cast(pa.timestamp("ns")), DATES.cast(pa.int64()).cast(pa.duration("us"))]
+)
+def test_dates_and_durations_are_clocks(tmp_path, clock):
+    columns = {name: values * 2 for name, values in STEP.items()} | {"action": ["x", None] * 2, "t": clock}
+    pq.write_table(pa.table({"episode_id": [*"aabb"], **columns}), tmp_path / "a.parquet")
+    logs = read_steps(tmp_path / "a.parquet", StepRules(clock="t"), missing="keep")
+    assert logs.end_s.tolist() == [1.5, 2.25]
+
+
 def test_files_of_no_common_type_are_refused(tmp_path):
     rows = rows_of(episodes(), [YES] * 3)
     files = [write_rows(tmp_path / "a", rows[:4]), write_rows(tmp_path / "b", [{**rows[4], "action": "pick"}])]

@@ -104,11 +104,14 @@ class StepColumns:
     columns: Mapping[str, Shaped[np.ndarray, "N ..."]]
 
     def numbers(self, name: str, role: str = "clock") -> Float[np.ndarray, " N"]:
-        """Rewards, flags or times, one number per step; true counts as 1, other types are refused."""
+        """Rewards, flags or times, one number per step; true counts as 1, dates from the first; others are refused."""
         values, flat = self.columns[name], self._flat(name)
         if flat.ndim == 1 and flat.dtype == object and (row := _first_text(flat)) is not None:
             trouble = f"{name} is {shown(flat[row])}, not {_MEANT[role]}"
             raise ArgumentError(f"{self.place}, row {row}: {trouble}; fix it, or name another column as {role}")
+        if role == "clock" and flat.ndim == 1 and flat.dtype.kind in "mM":
+            since = flat[:1] if flat.dtype.kind == "M" else np.timedelta64(0, "ns")
+            flat = (flat - since) / np.timedelta64(1, "s")
         if flat.ndim != 1 or flat.dtype.kind not in "biuf":
             raise ArgumentError(
                 f"{self.place}: {name} holds {values.dtype} of shape {values.shape[1:]}, not {_MEANT[role]} for "
