@@ -23,6 +23,7 @@ _ROUNDED = re.compile(r"-?\d([.,]\d+)?[eE]\+\d+")
 _GOOD, _BAD = (re.compile(rf"(?<![a-z]){word}", re.IGNORECASE) for word in ("good", "bad|uncertain"))
 _GOOD_CODES, _BAD_CODES = ("192", "216"), ["0", "4", "8", "12", "16", "20", "24", "28", "64", "68", "80", "84", "88"]
 """Qualities of values in OPC UA, as text, and in classic OPC."""
+MOST_QUALITIES = 50
 LEAST_PAUSE_NS, PAUSE = NANOSECONDS["h"], 1000.0
 """A pause within a trajectory is long from here on [ns], and from this many times the usual time between rows on."""
 FEWEST_ON_ONE_CLOCK = 5
@@ -114,6 +115,8 @@ def warn_of_bad_values(cells: Cells, mapping: EventMapping) -> None:
     mapped = {mapping.column(key) for key in mapping.entries} | {name for _, name in mapping.clock.columns}
     for name in (name for name in cells.columns if name not in mapped | {mapping.topic}):
         counts = Counter(cells.columns[name])
+        if len(counts) > MOST_QUALITIES:
+            continue
         has_codes = "192" in counts and counts.keys() <= {*_BAD_CODES, *_GOOD_CODES}
         bad = [text for text in counts if _BAD.search(text) or (has_codes and text in _BAD_CODES)]
         if bad and (has_codes or any(map(_GOOD.search, counts))):
@@ -153,12 +156,18 @@ def warn_of_rows_apart(cells: Cells, groups: Groups, stamps: Stamps, mapping: Ev
 
 
 def _apart_in_time(groups: Groups, stamps: Stamps) -> list[tuple[int, Any]]:
-    """The first row after a long pause of each trajectory with one, and its name, if rows usually follow soon."""
-    ordered = {name: sorted(rows, key=lambda row: stamps[row]) for name, rows in groups.items()}
+    """The first row after a long pause of each trajectory with one, in which others go on; and its name."""
+    ordered = {name: np.asarray(rows)[np.argsort(stamps[rows], kind="stable")] for name, rows in groups.items()}
     steps = {name: np.diff(stamps[rows]) for name, rows in ordered.items()}
     usual = float(np.median(np.concatenate([*steps.values(), np.zeros(1)])))
-    longest = max(LEAST_PAUSE_NS, PAUSE * usual)
-    return [(ordered[name][int(at.argmax()) + 1], name) for name, at in steps.items() if at.max(initial=0) > longest]
+    found, times = [], np.sort(stamps)
+    for name, rows in ordered.items():
+        at = int(steps[name].argmax()) if len(rows) > 1 else -1
+        if at >= 0 and steps[name][at] > max(LEAST_PAUSE_NS, PAUSE * usual):
+            before, after = stamps[rows[at]], stamps[rows[at + 1]]
+            if np.searchsorted(times, after) > np.searchsorted(times, before, side="right"):
+                found.append((int(rows[at + 1]), name))
+    return found
 
 
 def warn_of_reordered(cells: Cells, groups: Groups, stamps: Stamps, mapping: EventMapping) -> None:

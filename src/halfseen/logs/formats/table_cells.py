@@ -283,8 +283,9 @@ def _checked(cells: Cells, names: list[str]) -> Cells:
     refuse_repeated(cells.file, names)
     if "" in names:
         raise LogError(f"{cells.file}: column {names.index('') + 1} has no name; give it one, or set table.heading")
-    for row, of_row in enumerate(zip(*cells.columns.values(), strict=True)):
-        if of_row == (*cells.columns,):
+    first = next(iter(cells.columns), "")
+    for row, text in enumerate(cells.columns.get(first, [])):
+        if text == first and all(texts[row] == name for name, texts in cells.columns.items()):
             raise LogError(
                 f"{cells.place(row)}: the heading stands here, too, as where another table was put below; delete it"
             )
