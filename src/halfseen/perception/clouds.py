@@ -12,6 +12,8 @@ from halfseen.shapes import Float, Shaped, UInt8
 
 # Largest median distance and largest distance of points from the camera [m].
 LARGEST_MEDIAN_DISTANCE_M, LARGEST_DISTANCE_M = 50.0, 1000.0
+# Points that are close to one another from this distance on are in the coordinates of a map [m].
+LEAST_OF_MAP_M = 10_000.0
 # Depth of a pixel without return in millimetres of 16 bits, and the tolerance of a depth of single precision [m].
 SATURATED_M, SAME_DEPTH_M = 65.535, 1e-5
 # Red, green and blue of files, as most and as some programs call them.
@@ -225,9 +227,13 @@ def _check_metres(from_eye: Points, name: str) -> None:
     distance = np.abs(from_eye[is_return]).max(axis=1)
     median, farthest = float(np.median(distance)), float(distance.max())
     if median > LARGEST_MEDIAN_DISTANCE_M:
+        is_on_map = median > LEAST_OF_MAP_M and np.ptp(from_eye[is_return], axis=0).max() < median / 10.0
+        remedy = (
+            "subtract the origin of its map" if is_on_map else "distances are in metres: divide millimetres by 1000"
+        )
         raise CloudError(
             f"{name}: half of the points are {median:.4g} m or more from the camera, but a table is within "
-            f"{LARGEST_MEDIAN_DISTANCE_M:g} m; distances are in metres: divide millimetres by 1000"
+            f"{LARGEST_MEDIAN_DISTANCE_M:g} m; {remedy}"
         )
     if farthest > LARGEST_DISTANCE_M:
         raise CloudError(

@@ -201,7 +201,7 @@ def _check_counts(folder: Path, info: Info, episode: np.ndarray, begins: np.ndar
     lengths = _lengths(folder, info)
     found = dict(zip(episode[begins[:-1]].tolist(), np.diff(begins).tolist(), strict=True))
     for name in sorted({*lengths, *found}, key=str):
-        if lengths.get(name) != found.get(name):
+        if lengths.get(name, 0) != found.get(name, 0):
             raise LogError(
                 f"{folder}, episode {shown(name)}: meta/episodes counts {lengths.get(name, 0)} frames, but data has "
                 f"{found.get(name, 0)}; copy the whole dataset again"
