@@ -1,8 +1,8 @@
 """Names that differ only in spelling.
 
-Spelling is capitals, separators, characters without width, and how Unicode composes a letter. Signs, spaces between
-digits and decimal points are significant: ``-x`` is not ``+x``, ``2.5`` is not ``25``, and ``slot 1 2`` is not ``slot
-12``.
+Spelling is capitals, separators, characters without width, how Unicode composes a letter, and Cyrillic letters that
+look like Latin ones. Signs, spaces between digits and decimal points are significant: ``-x`` is not ``+x``, ``2.5`` is
+not ``25``, and ``slot 1 2`` is not ``slot 12``.
 """
 
 import re
@@ -11,6 +11,8 @@ from unicodedata import normalize
 
 DASHES = re.compile("[\u2010-\u2015\u2212\ufe63\uff0d]")
 _WITHOUT_WIDTH = re.compile("[\u00ad\u200b-\u200f\u2060\ufeff]")
+_LATIN = str.maketrans("авекмнорстухіјѕ", "abekmhopctyxijs")
+"""Cyrillic letters, in lower case, that look like Latin ones, some as capitals alone."""
 _SEPARATORS = re.compile(
     r"""
       (?<=[^\W\d_])-(?=[^\W\d_])      # e-stop
@@ -29,7 +31,7 @@ def as_counted(name: str) -> tuple[tuple[int, str], ...]:
 
 def folded(name: str) -> str:
     """Remove from a name what is only spelling."""
-    text = DASHES.sub("-", composed(composed(_WITHOUT_WIDTH.sub("", name)).casefold()))
+    text = DASHES.sub("-", composed(composed(_WITHOUT_WIDTH.sub("", name)).casefold()).translate(_LATIN))
     return re.sub(r"[\s_]+", " ", _SEPARATORS.sub("", text)) or text
 
 
@@ -47,6 +49,6 @@ def alike(names: Iterable[object]) -> list[list[str]]:
 
 
 def spelled_out(names: list[str]) -> list[str]:
-    """Write names so that their difference is visible: by code points where only the Unicode composition differs."""
-    same = len(set(map(composed, names))) < len(names)
+    """Write names so that their difference is visible: by code points where they look the same."""
+    same = len({composed(name).casefold().translate(_LATIN) for name in names}) < len({*map(str.casefold, names)})
     return [ascii(name) if same else repr(name) for name in names]

@@ -214,6 +214,7 @@ def test_a_folder_of_tables_is_one_table(place):
     Path("days").mkdir()
     for name, some in (("monday", rows[:9]), ("tuesday", rows[9:])):  # trajectory 8 goes on in the next file
         Path(f"days/{name}.csv").write_text(heading + "".join(some), encoding="utf-8")
+    Path("days/~$book.xlsx").write_bytes(b"lock of a workbook that is open")
     run("days", "--mapping", "events.toml", "--out", "logs")
     run("events.csv", "--mapping", "events.toml", "--out", "all")
     assert same(read_logs("logs"), read_logs("all"))

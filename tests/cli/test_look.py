@@ -117,6 +117,9 @@ def test_a_picture_takes_the_place_of_a_file_where_that_is_said_and_of_no_pipe(r
 def test_an_empty_table_is_refused_with_status_2(refused, tmp_path):
     write_pcd(Cloud.from_depth(depth_of_cards(), K, "empty"), tmp_path / "empty.pcd")
     assert "no objects on the table" in refused("look", tmp_path / "empty.pcd", "--json")
+    cloud = read_cloud(table_paths()[0])
+    write_pcd(Cloud(10.0 * cloud.points_m, cloud.shape, cloud.intrinsics), tmp_path / "far.pcd")
+    assert "(points are 7.85 m away: check that they are in metres)" in refused("look", tmp_path / "far.pcd")
 
 
 @pytest.fixture

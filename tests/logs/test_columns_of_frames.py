@@ -1,5 +1,7 @@
 """Whatever a table comes as, its columns are kept as plain ones, or refused in one line."""
 
+from decimal import Decimal
+
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -32,6 +34,15 @@ def test_what_pandas_keeps_in_arrow_is_kept_as_plain_columns(tmp_path):
     for logs in (log_of(trajectory=range(2), **columns), read_logs(tmp_path / "ours")):
         assert logs.stages["action"].tolist() == logs.stages["word"].tolist() == ["a", "b"]
         assert [each.tolist() for each in logs.stages["x"]] == [[1.0], [2.0]]
+
+
+@pytest.mark.parametrize("kind", [list, pa.array, in_arrow])
+def test_decimals_of_databases_are_numbers(kind):
+    tables = log_of(trajectory=range(3)).tables
+    stages = pa.Table.from_pandas(tables["stages"]).append_column("x", pa.array([Decimal("0.5"), None, Decimal("-2")]))
+    stages = stages if kind is pa.array else stages.to_pandas().assign(x=kind([Decimal("0.5"), None, Decimal("-2")]))
+    found = Logs(stages, tables["trajectories"], missing="median+flag").stages
+    assert found[["x", "x_missing"]].to_numpy().tolist() == [[0.5, 0.0], [-0.75, 1.0], [-2.0, 0.0]]
 
 
 def test_nan_in_arrow_is_missing():

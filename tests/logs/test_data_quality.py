@@ -244,7 +244,13 @@ SAME += [
     ("pick (left)", "pick left"),
     ("\u2190", " \u2190"),
 ]
-SAME += [(NFC, NFD), (NFC.upper(), NFD), ("stra\u00dfe", "STRASSE")]
+SAME += [
+    (NFC, NFD),
+    (NFC.upper(), NFD),
+    ("stra\u00dfe", "STRASSE"),
+    ("CUP", "\u0421up"),
+    ("\u0412\u0437", "\u0432\u0437"),
+]
 OTHER = [
     ("+x", "-x", "x", "x+", "x-"),
     ("+x", "\u2212x"),
@@ -285,6 +291,27 @@ def test_names_that_look_alike_are_said_by_their_code_points(tables, table, colu
     told = found(tables)["spelling"]
     assert told.startswith(rf"{what} 'cafe\u0301', 'caf\xe9' differ only in their spelling: count them as one (in")
     assert tomllib.loads(told[told.index("values =") : -1])["values"] == {NFC: NFD}
+
+
+@pytest.mark.parametrize("form", ["{}%", "{},5 kg", "0:{:02}:00", "2025-01-{:02}", "-{} °C"])
+def test_texts_of_measured_values(tables, form):
+    rows = len(tables["stages"])
+    tables["stages"]["c"] = [form.format(10 + k % 12) for k in range(rows)]
+    assert (
+        f"covariate c is text that looks like numbers, such as '{form.format(10)}'" in found(tables)["number-as-text"]
+    )
+    # Sizes of a tool, or hours of shifts; numbers of parts; and of bins.
+    for name in (form.format, "{:03}".format, lambda k: f"{k}{'AB'[k % 2]}"):
+        tables["stages"]["c"] = [name(10 + k % (4 if name == form.format else 12)) for k in range(rows)]
+        assert "number-as-text" not in found(tables)
+
+
+@pytest.mark.parametrize("date", ["2025-03-01", "1-Mar", "Mar-01", "01. Mrz"])
+def test_dates_among_names(tables, date):
+    tables["stages"].loc[::3, "action"] = date
+    assert found(tables)["date-among-names"].startswith(f"actions {date} are dates, and others are not")
+    tables["stages"]["action"] = [f"2025-03-0{k % 3 + 1}" for k in range(len(tables["stages"]))]
+    assert "date-among-names" not in found(tables)
 
 
 def test_a_clock_that_runs_on(tables):

@@ -292,21 +292,30 @@ def faces(form: str) -> bytes:
 
 @pytest.mark.parametrize("form", ORDERS)
 @pytest.mark.parametrize("kind", ["float", "double"])
-@pytest.mark.parametrize("has_lists", [False, True])
+@pytest.mark.parametrize(
+    ("has_lists", "names"),
+    [(False, ("red", "green", "blue")), (True, ("diffuse_red", "diffuse_green", "diffuse_blue")), (True, tuple("rgb"))],
+)
 def test_ply_files_of_both_byte_orders_are_read_past_other_properties_and_elements(
-    tmp_path, points, colours, form, kind, has_lists
+    tmp_path, points, colours, form, kind, has_lists, names
 ):
     """Written by hand: a reader that took a number for its neighbour, or turned its bytes, would miss by far."""
-    kinds = {"nx": "float", "x": kind, "quality": "short", "red": "uchar", "y": kind, "green": "uchar", "flag": "char"}
-    kinds |= {"z": kind, "blue": "uchar", "where": "int"}
+    red, green, blue = names
+    kinds = {"nx": "float", "x": kind, "quality": "short", red: "uchar", "y": kind, green: "uchar", "flag": "char"}
+    kinds |= {"z": kind, blue: "uchar", "where": "int"}
     sizes = {"float": "f4", "double": "f8", "short": "i2", "uchar": "u1", "char": "i1", "int": "i4"}
     vertex = np.zeros(NUM, [(name, ORDERS[form] + sizes[each]) for name, each in kinds.items()])
     vertex["nx"], vertex["quality"], vertex["flag"], vertex["where"] = -1.5, -7, -2, 123456
-    for k, (axis, name) in enumerate(zip("xyz", ("red", "green", "blue"), strict=True)):
+    for k, (axis, name) in enumerate(zip("xyz", names, strict=True)):
         vertex[axis], vertex[name] = points[:, k] + (0.0 if kind == "float" else 1e-12), colours[:, k]
     rows = "".join(f"{' '.join(repr(value.item()) for value in row)}\n" for row in vertex)
     body = rows.encode() if form == "ascii" else vertex.tobytes()
-    head = ["ply", f"format {form} 1.0", "comment by hand", *(["element face 3", *FACES] if has_lists else [])]
+    head = [
+        "ply",
+        f"format {form} 1.0",
+        "comment by hand, in a Büro",
+        *(["element face 3", *FACES] if has_lists else []),
+    ]
     head += [f"element vertex {NUM}", *(f"property {each} {name}" for name, each in kinds.items())]
     head += [*(["element strip 3", *FACES] if has_lists else []), "end_header", ""]
     lists = faces(form) if has_lists else b""
@@ -314,6 +323,26 @@ def test_ply_files_of_both_byte_orders_are_read_past_other_properties_and_elemen
     cloud = read_cloud(tmp_path / "cloud.ply")
     np.testing.assert_array_equal(cloud.points_m, np.stack([vertex[axis] for axis in "xyz"], axis=1).astype(np.float64))
     np.testing.assert_array_equal(cloud.colours, colours)
+
+
+@pytest.mark.parametrize("names", [("red", "green", "blue"), tuple("rgb")])
+@pytest.mark.parametrize("data", ["ascii", "binary"])
+def test_colours_of_a_pcd_file_may_be_three_fields(tmp_path, points, colours, names, data):
+    rows = np.zeros(NUM, [(axis, "<f4") for axis in "xyz"] + [(name, "u1") for name in names])
+    for k, (axis, name) in enumerate(zip("xyz", names, strict=True)):
+        rows[axis], rows[name] = points[:, k], colours[:, k]
+    head = f"FIELDS x y z {' '.join(names)}\nSIZE 4 4 4 1 1 1\nTYPE F F F U U U\nWIDTH {NUM}\nHEIGHT 1\nPOINTS {NUM}\n"
+    text = "".join(f"{' '.join(repr(value.item()) for value in row)}\n" for row in rows)
+    body = text.encode() if data == "ascii" else rows.tobytes()
+    (tmp_path / "a.pcd").write_bytes(f"{head}DATA {data}\n".encode() + body)
+    np.testing.assert_array_equal(read_cloud(tmp_path / "a.pcd").colours, colours)
+
+
+def test_a_number_of_windows_is_not_cut_at_its_sign(tmp_path):
+    head = "FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n"
+    (tmp_path / "a.pcd").write_text(f"{head}0.5 0.5 1.#QNAN\n")
+    with refused("could not convert string '1.#QNAN'", CloudError):
+        read_cloud(tmp_path / "a.pcd")
 
 
 def npz_of_colours(path: Path, rgb: np.ndarray) -> None:

@@ -192,6 +192,24 @@ def test_a_tray_is_an_object_of_its_own_that_hides_little_of_what_stands_on_it(h
     assert all(0.0 <= seen.occlusion - true <= foot for seen, true in zip(cans, truth, strict=True))
 
 
+@pytest.mark.parametrize("noise_m", [0.0, 0.003])
+def test_distances_along_rays_are_warned_of(tmp_path, noise_m):
+    depth_m = draw(Can(0.0, 0.0)).depth_m + np.random.default_rng(0).normal(0.0, 1.0, (240, 320)) * noise_m
+    row, column = np.indices(depth_m.shape)
+    ranges_m = depth_m * np.sqrt(1.0 + ((column - K[0, 2]) / K[0, 0]) ** 2 + ((row - K[1, 2]) / K[1, 1]) ** 2)
+    np.savez(tmp_path / "depth.npz", depth_m=depth_m, K=K)
+    np.savez(tmp_path / "range.npz", depth_m=ranges_m, K=K)
+    read_cloud(tmp_path / "depth.npz")
+    with pytest.warns(HalfseenWarning, match=r"range\.npz: depth_m seems to hold distances along the rays"):
+        read_cloud(tmp_path / "range.npz")
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_the_largest_of_16_bits_is_no_return(kind):
+    depth_m = (np.array([[65535, 800], [0, 65534]]) / kind(1000)).astype(kind)
+    assert np.isfinite(Cloud.from_depth(depth_m, K).points_m[:, 2]).tolist() == [False, True, False, True]
+
+
 def test_a_matrix_of_another_resolution_is_warned_of(tmp_path):
     """Every other pixel with the matrix of all of them makes cups of half their size; a cut-out image has its own."""
     drawn = draw(Can(0.0, 0.0))

@@ -162,6 +162,7 @@ def test_distances_that_no_camera_measures_and_a_pinhole_that_is_none_are_refuse
     cloud = read_cloud(table_paths()[0])
     for points, told in (
         (cloud.points_m * 1000, "divide millimetres by 1000"),
+        (cloud.points_m + np.array([4e5, 5.5e6, 100.0]), "subtract the origin of its map"),
         (far(1e5, cloud.points_m), r"a point is 1e\+05 m from the camera"),
         (cloud.points_m * 1e300, "divide millimetres"),
     ):

@@ -192,13 +192,13 @@ def perceived(file: Path) -> "tuple[Cloud, View]":
         It cannot be read, or shows no objects.
     """
     from halfseen.perception import perceive, read_cloud
+    from halfseen.perception.view import remedy_without_objects
 
     cloud = read_cloud(file)
     view = perceive(cloud)
     if not view.objects:
         cut = f" except {view.num_cut} cut by the image border" if view.num_cut else ""
-        remedy = "bring the whole table with its objects into view, upright in the image"
-        raise CloudError(f"{file}: no objects on the table{cut}; {remedy}")
+        raise CloudError(f"{file}: no objects on the table{cut}; {remedy_without_objects(view)}")
     return cloud, view
 
 

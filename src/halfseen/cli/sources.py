@@ -139,9 +139,9 @@ def tables_of_events(path: Path) -> list[Path]:
 
 
 def _shown_files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
-    """Files of a folder by the end of their names, in order; hidden files are passed over."""
+    """Files of a folder by the end of their names, in order, without hidden ones and locks of open workbooks."""
     there = [file for file in folder.iterdir() if file.name.lower().endswith(suffixes)]
-    return sorted((file for file in there if not file.name.startswith(".")), key=_by_name)
+    return sorted((file for file in there if not file.name.startswith((".", "~$"))), key=_by_name)
 
 
 def _by_name(file: Path) -> tuple[Any, str]:

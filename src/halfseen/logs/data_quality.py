@@ -4,8 +4,6 @@ Each check is a small function from `Logs` to sentences; most logs yield none. A
 who recorded the logs, never a reason to refuse them.
 """
 
-import json
-import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -23,9 +21,10 @@ from halfseen.logs.copied_columns import (
     rewards_as_covariates,
     stuck_sensors,
 )
-from halfseen.logs.grouping import can_be_counted, coded, covariate_columns, grouped_covariates, is_number, rows_with
+from halfseen.logs.grouping import can_be_counted, coded, grouped_covariates, is_number, rows_with
 from halfseen.logs.logs import Logs
 from halfseen.logs.mixed_units import clocks_of_robots, long_clocks, mixed_clocks, mixed_covariates, short_clocks
+from halfseen.logs.odd_texts import dates_among_names, listed, missing_as_text, numbers_as_text, spelling
 from halfseen.logs.plausibility import (
     MOST_EXPLAINED,
     copied_trajectories,
@@ -35,15 +34,11 @@ from halfseen.logs.plausibility import (
     untrue_probabilities,
 )
 from halfseen.logs.stand_ins import mixed_truths, stand_ins
-from halfseen.suggestions import alike, as_counted, spelled_out
+from halfseen.suggestions import as_counted
 
 FEWEST_ROWS, FEWEST_CUTS, FEWEST_TRAJECTORIES = 10, 5, 30
 FEWEST_IN_STATE, FEWEST_STAGES, RARE_SHARE = 50, 200, 0.01
-SAME_END, NEARLY_ALL, NUM_NAMED, MOST_SPELLINGS, MOST_COUNTED = 0.01, 0.99, 3, 1000, 20
-AS_NUMBER = r"[+-]?(?:\d{1,3}(?:[.,'\u2019 ]\d{3})+(?:[.,]\d+)?|\d*[.,]\d+)"
-"""A fraction, or a number with thousands separators."""
-READ_AS_MISSING = {"nan", "<na>", "null", "n/a", "#n/a", "#nv", "nat"}
-"""Texts, in lower case, that programs write for what is missing; none and NA are names, too."""
+SAME_END, NEARLY_ALL, MOST_COUNTED = 0.01, 0.99, 20
 NAMES_OF_ENDS = {
     *("finished", "finish", "done", "success", "succeeded", "complete", "completed"),
     *("goal", "goal-reached", "cleared", "terminated", "terminal", "ok"),
@@ -159,28 +154,6 @@ def _is_clock(since_first: Rows, began_s: Rows) -> bool:
     return bool(np.corrcoef(since, seconds)[0, 1] > NEARLY_ALL)
 
 
-def _numbers_as_text(logs: Logs) -> Iterator[str]:
-    for name, values, _ in covariate_columns(logs):
-        kinds = _kinds_of_text(values)
-        numbers = [each for each in kinds if re.fullmatch(AS_NUMBER, each)]
-        if sum(kinds[each] for each in numbers) > 0.5 * sum(kinds.values()):
-            yield (
-                f"{name} is text that looks like numbers, such as {shown(numbers[0])}, and each counts as a category: "
-                "write them as numbers, with a decimal point and without separators"
-            )
-
-
-def _missing_as_text(logs: Logs) -> Iterator[str]:
-    for name, values, _ in covariate_columns(logs):
-        kinds = _kinds_of_text(values)
-        missing = [each for each in kinds if each.strip().lower() in READ_AS_MISSING]
-        if missing:
-            yield (
-                f"{name} is {shown(missing[0])} in {sum(kinds[each] for each in missing)} of {len(values)} rows, and "
-                "counts as a category: if it means missing, leave it empty, and choose a fill rule with --missing"
-            )
-
-
 def _one_action(logs: Logs) -> Iterator[str]:
     actions = logs.stages["action"].dropna()
     if len(actions) >= FEWEST_ROWS and actions.nunique() == 1:
@@ -206,19 +179,6 @@ def _no_alternative(logs: Logs) -> Iterator[str]:
             )
 
 
-def _spelling(logs: Logs) -> Iterator[str]:
-    names = [("causes", logs.trajectories["cause"]), ("actions", logs.stages["action"])]
-    names += [(f"values of {name}", _texts(values)) for name, values, _ in covariate_columns(logs)]
-    for what, values in names:
-        found = values.dropna().unique()
-        for same in alike(found) if len(found) <= MOST_SPELLINGS else ():
-            as_first = ", ".join(f"{json.dumps(other)} = {json.dumps(same[0])}" for other in same[1:])
-            yield (
-                f"{what} {_listed(spelled_out(same))} differ only in their spelling: count them as one (in a mapping: "
-                f"values = {{{as_first}}})"
-            )
-
-
 def _rare_actions(logs: Logs) -> Iterator[str]:
     counts = logs.stages.loc[logs.stages["elapsed_s"].notna(), "action"].value_counts()
     number = {name: int(counts.get(name, 0)) for name in sorted(logs.stages["action"].dropna().unique(), key=str)}
@@ -240,7 +200,7 @@ def _never_completed(logs: Logs) -> Iterator[str]:
         most = 2 if is_number(values) else MOST_COUNTED
         if len(kinds) <= most and (lost := {*kinds} - {*values[is_done].unique()}):
             yield (
-                f"where {name} is {_listed(sorted(map(str, lost)))}, every stage was cut: what follows is unknown, and "
+                f"where {name} is {listed(sorted(map(str, lost)))}, every stage was cut: what follows is unknown, and "
                 "what a policy does there is a guess"
             )
 
@@ -269,24 +229,8 @@ def _equal_rewards(logs: Logs) -> Iterator[str]:
         yield f"all {len(rewards)} rewards are {rewards.iloc[0]:g}: no action is better than another"
 
 
-def _texts(values: Any) -> Any:
-    """The text values of a column."""
-    return values[:0] if is_number(values) else values[values.map(lambda each: isinstance(each, str)).astype(bool)]
-
-
-def _kinds_of_text(values: Any) -> dict[str, int]:
-    """How often each text occurs in a column, in order of appearance."""
-    return _texts(values).value_counts(sort=False).to_dict()
-
-
-def _listed(names: Iterable[str]) -> str:
-    names = list(names)
-    more = f" and {len(names) - NUM_NAMED} more" if len(names) > NUM_NAMED else ""
-    return ", ".join(names[:NUM_NAMED]) + more
-
-
 def _were(what: str, names: list[str]) -> str:
-    return f"{what} {_listed(names)} was" if len(names) == 1 else f"{what}s {_listed(names)} were"
+    return f"{what} {listed(names)} was" if len(names) == 1 else f"{what}s {listed(names)} were"
 
 
 _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
@@ -297,8 +241,8 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "cut-called-finished": cuts_called_finished,
     "text-order": text_order,
     "identifier": _identifiers,
-    "number-as-text": _numbers_as_text,
-    "missing-as-text": _missing_as_text,
+    "number-as-text": numbers_as_text,
+    "missing-as-text": missing_as_text,
     "stand-in": stand_ins,
     "truths-mixed": mixed_truths,
     "one-action": _one_action,
@@ -314,7 +258,8 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "mixed-covariate-units": mixed_covariates,
     "action-as-covariate": actions_as_covariates,
     "reward-as-covariate": rewards_as_covariates,
-    "spelling": _spelling,
+    "spelling": spelling,
+    "date-among-names": dates_among_names,
     "rare-action": _rare_actions,
     "never-completed": _never_completed,
     "no-probability": _no_probability,

@@ -145,7 +145,10 @@ def _from_other(data: object) -> pd.DataFrame:
 
 
 def frame_of(table: pa.Table) -> pd.DataFrame:
-    """Make a frame; whole numbers with nulls become floats, unless they are too large to be exact as floats."""
+    """Make a frame; decimals become floats, and whole numbers with nulls, unless too large to be exact as floats."""
+    for k, field in enumerate(table.schema):
+        if pa.types.is_decimal(field.type):
+            table = table.set_column(k, field.name, table[k].cast(pa.float64()))
     frame = _with_plain_types(table).to_pandas()
     for name, column in zip(table.column_names, table.columns, strict=True):
         if column.null_count and pa.types.is_integer(column.type):

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from halfseen.arrays import Intrinsics
+from halfseen.arrays import Image, Intrinsics
 from halfseen.errors import CloudError, warn
-from halfseen.perception.clouds import Cloud, Colours, check_intrinsics, check_num_points, is_rotation
+from halfseen.perception.clouds import COLOURS, Cloud, check_intrinsics, check_num_points, colours_of, is_rotation
 from halfseen.perception.frames import FRAME_COMMENT, OWN, Viewpoint, camera_of
 from halfseen.perception.pcd import read_pcd
 from halfseen.reading import CLOUD, names_in_archive, read_arrays, read_bytes, reason_of
@@ -52,6 +52,7 @@ def read_npz(path: Path) -> Cloud:
         )
     check_num_points(depth.size, str(path))
     _warn_of_scale(K.astype(np.float64), depth.shape, path)
+    _warn_of_ranges(depth.astype(np.float64), K.astype(np.float64), path)
     if picture is not None and (picture.shape != (*depth.shape, 3) or picture.dtype != np.uint8):
         raise CloudError(
             f"{path}: rgb is {picture.dtype} of shape {picture.shape}; it must be uint8 of shape {(*depth.shape, 3)}, "
@@ -79,9 +80,40 @@ def _warn_of_scale(K: Intrinsics, shape: tuple[int, ...], path: Path) -> None:
         )
 
 
+# Bends of the inverse of distances along rays, by `_bend`, and of depths made of them; that of depths is about 0.
+MOST_OF_RANGES, MOST_OF_DEPTHS = -0.5, 0.35
+FEWEST_BENDS = 1000
+
+
+def _warn_of_ranges(depth_m: Image, K: Intrinsics, path: Path) -> None:
+    """Warn of distances along the rays in place of depths, of which alone the inverse is linear on a plane."""
+    row, column = np.indices(depth_m.shape)
+    ray = np.sqrt(1.0 + ((column - K[0, 2]) / K[0, 0]) ** 2 + ((row - K[1, 2]) / K[1, 1]) ** 2)
+    with np.errstate(all="ignore"):
+        inverse = 1.0 / np.where(depth_m > 0.0, depth_m, np.nan)
+        is_bent = min(depth_m.shape) >= SMALLEST_SIDE_PX and _bend(inverse, K) < MOST_OF_RANGES
+        is_range = is_bent and abs(_bend(inverse * ray, K)) < MOST_OF_DEPTHS
+    if is_range:
+        warn(
+            path,
+            "depth_m seems to hold distances along the rays of the pixels, as some simulators give them; give those "
+            "along the optical axis: divide by the length of ((u − cx) / fx, (v − cy) / fy, 1)",
+        )
+
+
+def _bend(values: Image, K: Intrinsics) -> float:
+    """Median second difference over an eighth of the image, as a share of the value by the square of the angle."""
+    bends = []
+    for axis in (0, 1):
+        step, along = values.shape[axis] // 8, np.moveaxis(values, axis, 0)
+        middle = along[step:-step]
+        bends.append(((along[: -2 * step] + along[2 * step :]) / middle - 2.0) * (K[1 - axis, 1 - axis] / step) ** 2)
+    there = np.concatenate([bend[np.isfinite(bend)] for bend in bends])
+    return float(np.median(there)) if len(there) >= FEWEST_BENDS else 0.0
+
+
 # A header has a few dozen lines.
 MOST_HEADER_BYTES = 10**6
-COLOURS = ("red", "green", "blue")
 # Properties of an element ``camera``: its position, and the rows of the matrix from its axes to the position's frame.
 EYE = ("view_px", "view_py", "view_pz")
 AXES = tuple(f"{row}_axis{column}" for row in "xyz" for column in "xyz")
@@ -109,7 +141,7 @@ def read_ply(path: Path) -> Cloud:
     _check_counts(content, path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # about empty lists in text files
-        ply = PlyData.read(io.BytesIO(content))
+        ply = PlyData.read(io.BytesIO(_in_ascii(content)))
     if "vertex" not in ply or not {"x", "y", "z"} <= set(ply["vertex"].data.dtype.names):
         raise CloudError(f"{path}: has no element 'vertex' with x, y and z; export it as a point cloud in metres")
     vertex = ply["vertex"].data
@@ -119,7 +151,8 @@ def read_ply(path: Path) -> Cloud:
     comments = [comment.split() for comment in ply.comments]
     frame = next((words[1] for words in comments if len(words) > 1 and words[0] == FRAME_COMMENT), None)
     camera = camera_of(points, shape, viewpoint, str(path), frame)
-    colours = _colours(vertex, path)
+    found = next((names for names in COLOURS if {*names} <= {*vertex.dtype.names}), None)
+    colours = None if found is None else colours_of([vertex[name] for name in found], str(path))
     return Cloud(points, shape, None, path.name, camera.eye_m, colours, camera.axes)
 
 
@@ -142,6 +175,12 @@ def _camera(
     return ((grid[0], grid[1]) if is_grid else None), Viewpoint(eye, left @ right)
 
 
+def _in_ascii(content: bytes) -> bytes:
+    """The file with a question mark for each byte of a comment that is not ASCII, which its reader refuses."""
+    end = content.find(b"end_header")
+    return bytes(byte if byte < 128 else 63 for byte in content[:end]) + content[end:]
+
+
 def _check_counts(content: bytes, path: Path) -> None:
     """Refuse a header that declares more rows than the file has bytes, as memory would be allocated for all of them."""
     header = content[: content.find(b"end_header")][:MOST_HEADER_BYTES].decode("ascii", errors="replace")
@@ -155,18 +194,6 @@ def _check_counts(content: bytes, path: Path) -> None:
             )
         if word == "element" and rest.startswith("vertex ") and count.isascii() and count.isdigit():
             check_num_points(int(count[:18]), str(path))
-
-
-def _colours(vertex: Shaped[np.ndarray, " n"], path: Path) -> Colours | None:
-    if not set(COLOURS) <= set(vertex.dtype.names or ()):
-        return None
-    kinds = [vertex.dtype[name] for name in COLOURS]
-    if any(kind != np.uint8 for kind in kinds):
-        raise CloudError(
-            f"{path}: red, green and blue are {', '.join(map(str, kinds))}; a colour needs three uchar from 0 to 255: "
-            "export it so, or leave it out"
-        )
-    return np.stack([vertex[name] for name in COLOURS], axis=1)
 
 
 _READERS: dict[str, Callable[[Path], Cloud]] = {".pcd": read_pcd, ".ply": read_ply, ".npz": read_npz}

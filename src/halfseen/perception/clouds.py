@@ -1,5 +1,6 @@
 """Depth cameras with their noise, and the point clouds that they return."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, TypeAlias, runtime_checkable
 
@@ -11,6 +12,12 @@ from halfseen.shapes import Float, Shaped, UInt8
 
 # Largest median distance and largest distance of points from the camera [m].
 LARGEST_MEDIAN_DISTANCE_M, LARGEST_DISTANCE_M = 50.0, 1000.0
+# Points that are close to one another from this distance on are in the coordinates of a map [m].
+LEAST_OF_MAP_M = 10_000.0
+# Depth of a pixel without return in millimetres of 16 bits, and the tolerance of a depth of single precision [m].
+SATURATED_M, SAME_DEPTH_M = 65.535, 1e-5
+# Red, green and blue of files, as most and as some programs call them.
+COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
 # Largest skew of a pinhole camera, as a share of the focal length.
 LARGEST_SKEW = 0.02
 # Largest entry of a pinhole matrix; images are a few thousand pixels wide [px].
@@ -161,7 +168,8 @@ class Cloud:
         Parameters
         ----------
         depth_m
-            Depth of each pixel along the optical axis [m]; 0, negative or not finite where nothing returned.
+            Depth of each pixel along the optical axis [m]; 0, negative, not finite or `SATURATED_M` where nothing
+            returned.
         K
             Pinhole matrix [px].
         name
@@ -176,7 +184,8 @@ class Cloud:
         """
         check_intrinsics(K, name)
         num_rows, num_columns = depth_m.shape
-        depth = np.where(np.isfinite(depth_m) & (depth_m > 0), depth_m, np.nan).astype(np.float64)
+        is_return = np.isfinite(depth_m) & (depth_m > 0) & (np.abs(depth_m - SATURATED_M) > SAME_DEPTH_M)
+        depth = np.where(is_return, depth_m, np.nan).astype(np.float64)
         row, column = np.mgrid[:num_rows, :num_columns].astype(np.float64)
         x = (column - K[0, 2]) / K[0, 0] * depth
         y = (row - K[1, 2]) / K[1, 1] * depth
@@ -218,9 +227,13 @@ def _check_metres(from_eye: Points, name: str) -> None:
     distance = np.abs(from_eye[is_return]).max(axis=1)
     median, farthest = float(np.median(distance)), float(distance.max())
     if median > LARGEST_MEDIAN_DISTANCE_M:
+        is_on_map = median > LEAST_OF_MAP_M and np.ptp(from_eye[is_return], axis=0).max() < median / 10.0
+        remedy = (
+            "subtract the origin of its map" if is_on_map else "distances are in metres: divide millimetres by 1000"
+        )
         raise CloudError(
             f"{name}: half of the points are {median:.4g} m or more from the camera, but a table is within "
-            f"{LARGEST_MEDIAN_DISTANCE_M:g} m; distances are in metres: divide millimetres by 1000"
+            f"{LARGEST_MEDIAN_DISTANCE_M:g} m; {remedy}"
         )
     if farthest > LARGEST_DISTANCE_M:
         raise CloudError(
@@ -292,3 +305,13 @@ def _checked_colours(colours: Shaped[np.ndarray, "..."], num_points: int, name: 
             "green and blue of each point as uint8, or colours=None"
         )
     return colours.copy()
+
+
+def colours_of(columns: Sequence[Shaped[np.ndarray, " n"]], name: str) -> Colours:
+    """Colours of three columns, red, green and blue, of a file `name`; refuse other than bytes (`CloudError`)."""
+    if any(column.dtype != np.uint8 for column in columns):
+        raise CloudError(
+            f"{name}: red, green and blue are {', '.join(str(column.dtype) for column in columns)}; a colour needs "
+            "three uchar from 0 to 255: export it so, or leave it out"
+        )
+    return np.stack(columns, axis=1)

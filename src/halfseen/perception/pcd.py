@@ -10,7 +10,7 @@ import numpy as np
 
 from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import CloudError
-from halfseen.perception.clouds import Cloud, Colours, check_num_points
+from halfseen.perception.clouds import COLOURS, Cloud, Colours, check_num_points, colours_of
 from halfseen.perception.frames import FRAME_COMMENT, VIEWPOINT, camera_of, quaternion_of, viewpoint_of
 from halfseen.reading import CLOUD, check_unpacked, opened
 from halfseen.shapes import Float, Shaped
@@ -71,7 +71,8 @@ def read_pcd(path: Path) -> Cloud:
         fields = _fields(header, num_points, path)
         check_num_points(num_points, str(path))
         packed = next((name for name in PACKED_COLOURS if name in names), None)
-        wanted = ["x", "y", "z"] if packed is None else ["x", "y", "z", packed]
+        apart = next((each for each in COLOURS if packed is None and {*each} <= {*names}), ())
+        wanted = ["x", "y", "z", *([] if packed is None else [packed]), *apart]
         if header["DATA"] == "ascii":
             columns = _text_columns(file, fields, wanted)
         else:
@@ -85,6 +86,11 @@ def read_pcd(path: Path) -> Cloud:
     colours = None
     if packed is not None:
         colours = _unpacked(columns[packed], points, _packed_kind(fields[names.index(packed)], path))
+    elif apart:
+        kinds = [
+            np.dtype(f"{kind.lower()}{size}") for _, kind, size, _ in (fields[names.index(each)] for each in apart)
+        ]
+        colours = colours_of([columns[each].astype(kind) for each, kind in zip(apart, kinds, strict=True)], str(path))
     shape = (height, width) if height > 1 else None
     pose = _numbers((header.get("VIEWPOINT") or "0 0 0").split(), "VIEWPOINT", path)
     viewpoint, frame = viewpoint_of(pose, str(path)), header.get(f"# {FRAME_COMMENT}")
@@ -160,7 +166,7 @@ def _text_columns(file: BufferedReader, fields: list[Field], wanted: list[str]) 
     """Columns of a text body; values may be separated by several spaces."""
     names, starts = [field.name for field in fields], np.cumsum([0, *(field.count for field in fields)])
     places = starts[[names.index(name) for name in wanted]].tolist()
-    rows = np.loadtxt(file, usecols=places, ndmin=2, dtype=np.float64)
+    rows = np.loadtxt(file, usecols=places, ndmin=2, dtype=np.float64, comments=None)
     return dict(zip(wanted, rows.T, strict=True))
 
 

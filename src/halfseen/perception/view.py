@@ -238,6 +238,17 @@ def left_out_in_words(view: View) -> str:
     return "; ".join([*([cut] if cut else []), *([by] if hidden else [])])
 
 
+FARTHEST_TABLE_M = 3.0
+"""Cups on a table that is farther from the camera are hardly seen [m]."""
+
+
+def remedy_without_objects(view: View) -> str:
+    """What to do about a view without objects on its table."""
+    away_m = float(np.median(view.image.depth_m[view.image.is_return]))
+    unit = f" (points are {away_m:.3g} m away: check that they are in metres)" if away_m > FARTHEST_TABLE_M else ""
+    return f"bring the whole table with its objects into view, upright in the image{unit}"
+
+
 def most_hidden(objects: Sequence[SeenObject]) -> SeenObject:
     """Return the object with the largest hidden share, the first one among equals.
 

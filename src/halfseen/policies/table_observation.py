@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 from halfseen.errors import ArgumentError, CloudError, PolicyError, within
 from halfseen.perception import View, perceive, read_cloud
 from halfseen.perception.labels import labels_of
-from halfseen.perception.view import left_out_in_words, other_things_in_words
+from halfseen.perception.view import left_out_in_words, other_things_in_words, remedy_without_objects
 from halfseen.policies.folder.stored import StoredPolicy, refuse_log_of_team
 from halfseen.policies.named_decider import STATE_FILES
 from halfseen.tables.first_look import chances_in_words, labels_in_words
@@ -107,8 +107,7 @@ def see_table(
     view = perceive(cloud)
     if not view.objects:
         cleared = "" if past is None else "; if it is cleared, the trajectory is over"
-        remedy = "bring the whole table with its objects into view, upright in the image"
-        raise CloudError(f"{file}: no objects on the table; {remedy}{cleared}")
+        raise CloudError(f"{file}: no objects on the table; {remedy_without_objects(view)}{cleared}")
     seen_labels, others = labels_of(view, cloud, labels), other_things_in_words(view)
     scene = view.scene() if law is None else law.scene(view)
     now = _present(stored, view, scene, past, stage, horizon or stored.horizon)

@@ -150,6 +150,37 @@ def test_fields_are_paths_into_messages(read):
     assert logs.stages[list(seen)].to_numpy().tolist() == [[0.25, 0.75, "a"]]
 
 
+def test_a_topic_that_was_recorded_twice_counts_once(read):
+    messages = one_trajectory(number(0.5, "/x", 0.25))
+    twice = [each for each in messages for _ in range(2)]
+    with pytest.warns(HalfseenWarning, match="3 messages repeat one of the same time"):
+        logs = read(twice, SMALL | {"covariates.x": "/x data"})
+    assert logs.stages[["action", "elapsed_s", "reward", "x"]].to_numpy().tolist() == [["A", 1.5, 1.0, 0.25]]
+
+
+LATER = [joints(2.6, "/joints", [0.1], ["finger"]), joints(2.7, "/joints", [0.9, 0.4], ["arm.b", "a"])]
+TWO = [joints(0.1, "/joints", [0.5, 0.75], ["a", "arm.b"]), *one_trajectory()[:-1], *LATER]
+TWO += [text(3.0, "/action", "A"), number(4.0, "/reward", 1.0), text(4.5, "/end", "finished")]
+
+
+def test_entries_with_names_are_read_by_name_whatever_their_order_and_their_publisher(read):
+    seen = {"a": "/joints position.a", "b": "/joints position.arm.b"}
+    logs = read(TWO, SMALL | {f"covariates.{name}": source for name, source in seen.items()})
+    assert logs.stages[["a", "b"]].to_numpy().tolist() == [[0.5, 0.75], [0.4, 0.9]]
+
+
+@pytest.mark.parametrize(
+    ("field", "message"),
+    [
+        ("position.0", r"'position\.0' is of 'a' in one message and of 'finger' in another; name .*: position\.a"),
+        ("position.elbow", r"has no 'position\.elbow'; there are arm\.b, a"),
+    ],
+)
+def test_an_entry_that_no_one_name_tells_is_refused(read, field, message):
+    with refused(message, ArgumentError):
+        read(TWO, SMALL | {"covariates.x": f"/joints {field}"})
+
+
 def test_actions_may_be_whole_numbers_and_endings_too(read):
     messages = [whole(1.0, "/action", 3), number(2.0, "/reward", 1.0), whole(2.0, "/end", 1)]
     logs = read(messages, tables_of(SMALL) + "finished = [0]")

@@ -1,6 +1,7 @@
 """Tables of which a careless reader makes another log: names, times and files that are taken for what they are not."""
 
 import datetime
+from contextlib import nullcontext
 
 import numpy as np
 import pyarrow as pa
@@ -125,6 +126,20 @@ def test_rows_of_one_name_that_stand_apart_are_warned_of(read_table, read_files)
         assert stages(read_table(mixed, HISTORIAN), "weight") == GERMAN_STAGES
 
 
+@pytest.mark.parametrize(("again", "is_told"), [("27T10:05", False), ("29T10:00", True)])
+def test_events_of_one_name_that_are_days_apart_are_warned_of(read_table, again, is_told):
+    row = "2025-10-{0}:0{1};{2};{3};{4};{5}\n".format
+    text = "Zeit;Lauf;Ereignis;Text;Wert\n"
+    for time, run in (("27T10:00", 1), ("27T10:01", 2), (again, 1)):
+        cells = [("Gewicht", "", "1.5"), ("Griff", "x", ""), ("Ablage", "", "2.5")] + [("Ende", "fertig", "")] * (
+            run == 2
+        )
+        text += "".join(row(time, k, run, *each) for k, each in enumerate(cells))
+    told = "line 9: rows of trajectory 1 have long pauses, as in 1 of 2 trajectories, and each counts as one: if names"
+    with pytest.warns(HalfseenWarning, match=told) if is_told else nullcontext():
+        read_table(text, HISTORIAN.replace('"Zeit"', '"Zeit", zone = "UTC"').replace('"Säule" = "column"', 'x = "y"'))
+
+
 def test_each_of_several_files_is_a_trajectory_unless_a_column_tells(read_files, tmp_path):
     episode = "tool,seconds left,ms,worth,stop\nsoft,9,1500,1,\nsoft,8,{}\n"
     mapping = STAGES.replace('trajectory = {field = "run"}\n', "")
@@ -142,6 +157,12 @@ def test_each_of_several_files_is_a_trajectory_unless_a_column_tells(read_files,
         (tmp_path / folder / "ep1.csv").write_text(episode.format("2500,2,"))
     files = [tmp_path / folder / "ep1.csv" for folder in ("monday", "tuesday")]
     assert read_event_table(files, tmp_path / "cell.toml").trajectory_ids.tolist() == list(map(str, files))
+
+
+def test_a_copy_of_a_file_is_refused(read_files):
+    copied = {"a.csv": WIDE, "b.csv": WIDE.replace("b,", "c,"), "a (1).csv": WIDE}
+    with refused(r"a \(1\)\.csv: its rows are those of .*a\.csv; leave one of the two files out"):
+        read_files(copied, STAGES.replace('"trajectory"', '"stage"'))
 
 
 def test_files_may_have_their_columns_in_another_order(read_files):

@@ -278,7 +278,10 @@ def test_files_of_no_table_are_refused(read_table, tmp_path):
         ("a\n1\n", r"its heading has none of the separators"),
         ("a;a\n1;2\n", r"there are two columns 'a'"),
         ("a;;b\n1;2;3\n", r"column 2 has no name"),
-        (b"a;b\n\0;1\n", r"null characters; set table.encoding"),
+        (
+            b"a;b\n\0;1\n",
+            r"line 2: it holds null characters; delete them if power was lost there; else set table.encoding",
+        ),
         (b"a;b\n1;\x81\n", r"line 2: bytes b'\\x81' are not cp1252; set table.encoding"),
     ):
         with refused(message, LogError):

@@ -156,3 +156,21 @@ def test_whole_numbers_may_name_actions(draft):
     steps = "ep,t,action,reward,done\n1,1.5,0,0.5,false\n1,2.5,3,0.25,true\n"
     draft(steps, "field = \"ep\"  # guess: such as '1'", "field = \"action\"  # guess: such as '0' and '3'")
     draft(steps.replace(",3,", ",0.5,"), "# [action]")
+
+
+def test_a_heading_is_found_below_as_many_other_lines_as_there_are_rows(draft):
+    assert "heading = 3  # guess: the line that names the columns" in draft("of X\nof Y\nrun,tool,ms\na,x,1500\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("event", 'finished = {field = "event"}'),
+        ("censored", '# field = "censored"'),
+        ("success", '# field = "success"'),
+    ],
+)
+def test_indicators_of_survival_are_no_covariates(draft, name, line):
+    made = draft(f"run,tool,ms,worth,{name}\na,x,1500,1,0\na,y,2500,2,1\n")
+    assert line in made
+    assert f"\n[covariates.{name}]" not in made

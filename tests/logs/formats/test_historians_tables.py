@@ -1,5 +1,7 @@
 """Tables as historians, spreadsheets and controllers export them: what comes out was worked out by hand."""
 
+from contextlib import nullcontext
+
 import pytest
 
 from event_files import AMERICAN, GERMAN, GERMAN_ENDS, GERMAN_STAGES, HISTORIAN, STAGES, WIDE, ends, stages
@@ -197,6 +199,28 @@ def test_an_event_that_stands_there_twice_counts_once(read_table, event):
     with pytest.warns(HalfseenWarning, match="line 3: it repeats the one above, and counts as a stage of its own"):
         twice = read_table(heading + row + row, STAGES.replace('"trajectory"', '"stage"'))
     assert [stage[2] for stage in stages(twice)] == [1.5, 3.0]
+
+
+@pytest.mark.parametrize(
+    ("good", "bad"), [("Good", "Bad"), ("StatusCode(Good)", "StatusCode(BadNoData)"), ("192", "0")]
+)
+def test_values_of_bad_quality_are_told_of(read_table, good, bad):
+    heading, *rows = WIDE.splitlines()
+    text = "\n".join([f"{heading},q", *(f"{row},{bad if k == 2 else good}" for k, row in enumerate(rows))])
+    with pytest.warns(HalfseenWarning, match=r"column 'q': it is '.*' in 1 rows, whose values count like any others"):
+        read_table(text, STAGES)
+    read_table(text.replace(good, "7"), STAGES)
+
+
+@pytest.mark.parametrize("is_told", [True, False])
+def test_times_of_day_that_are_written_as_numbers_are_told_of(read_table, is_told):
+    times = [100 * (100 * 9 + 55 + k) + 7 * k % 60 + (60 if k == 3 and not is_told else 0) for k in range(5)]
+    times += [100 * (100 * 10 + k) + 7 * k % 60 for k in range(12)]
+    text = "run,tool,s,worth,stop\n" + "".join(f"a,x,{time},1,\n" for time in times)
+    mapping = STAGES.replace('"ms", unit = "ms"', '"s", unit = "s"').split("covariates")[0]
+    told = r"times such as '95500' look like hours, minutes and seconds"
+    with pytest.warns(HalfseenWarning, match=told) if is_told else nullcontext():
+        read_table(text, mapping)
 
 
 def test_a_mapping_and_a_table_may_begin_with_the_mark_of_utf_8(read_table):

@@ -246,6 +246,20 @@ def test_numbers_of_tasks_and_episodes_are_whole_numbers(tmp_path, file, values)
         read_quietly(tmp_path)
 
 
+def test_frames_out_of_order_are_refused(tmp_path):
+    found = episodes()
+    rows = {"frame_index": [1, 0, 2, 0, 0, 1, 2, 3], "next.success": last_of(found, [YES, YES, YES])}
+    write_lerobot(tmp_path, found, extra=rows)
+    with refused("episode 0: frame 0 comes after frame 1; put the frames in order"):
+        read_lerobot(tmp_path, StepRules(step_s=1.0))
+
+
+def test_an_episode_without_frames_is_none(tmp_path):
+    found = episodes()
+    write_lerobot(tmp_path, found, lengths=[3, 1, 4, 0], extra={"next.success": last_of(found, [YES] * 3)})
+    assert read_lerobot(tmp_path).num_trajectories == 3
+
+
 def test_a_dataset_that_was_copied_in_part_is_told(tmp_path):
     write_lerobot(tmp_path, episodes())
     file, info = tmp_path / "data" / "chunk-000" / "file-001.parquet", tmp_path / "meta" / "info.json"

@@ -59,3 +59,25 @@ def test_cells_of_several_lines_and_quotes_within_cells_are_read(read_table):
     text = 'run,tool,s,worth,stop\n1, "a, ""b""\n\nc",1,1,\n2,5" d,1,1,\n3,"x"y,1,1,"\n"\n'
     found = read_table(text, MAPPING).stages
     assert found["action"].tolist() == ['a, "b"\n\nc', '5" d', "xy"]
+
+
+MARKED = "\ufeff3,x,1,1,\n"
+
+
+@pytest.mark.parametrize(
+    ("below", "told"),
+    [("{0}3,x,1,1,\n", "line 4: the heading stands here"), (MARKED, "line 4: a byte order mark is here")],
+)
+def test_a_file_below_another_is_refused_in_each_table(tmp_path, read_table, below, told):
+    heading = "run,tool,s,worth,stop\n"
+    with refused(told, LogError):
+        read_table(heading + "1,x,1,1,\n2,x,1,1,\n" + below.format(heading), MAPPING)
+    heading = "episode_id,is_last,is_terminal,observation,action,reward\n"
+    (tmp_path / "s.csv").write_text(heading + "a,false,false,1,x,1\na,true,true,1,,\n" + below.format(heading))
+    with refused(told, LogError):
+        read_steps(tmp_path / "s.csv", StepRules(step_s=1.0))
+    heading = "trajectory,end_s,ending\n"
+    (tmp_path / "stages.csv").write_text("trajectory,stage,elapsed_s,action,reward\n1,1,1,x,1\n2,1,1,x,1\n")
+    (tmp_path / "trajectories.csv").write_text(heading + "1,1,finished\n2,1,finished\n" + below.format(heading))
+    with refused(told, LogError):
+        read_csv(tmp_path)

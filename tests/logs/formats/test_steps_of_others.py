@@ -76,6 +76,49 @@ def test_several_files_follow_one_another_and_must_be_of_one_table(tmp_path):
         read_steps([files[0], other])
 
 
+STEP = {"is_last": [NO, YES], "is_terminal": [NO, YES], "observation.c": [1, None], "reward": [1, 0]}
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "column", "wanted"),
+    [
+        ({}, {"observation.c": [0.5, 1.5]}, "observation.c", [1.0, 0.5]),
+        ({"observation.c": [None, None]}, {"observation.c": ["red", "red"]}, "observation.c", [None, "red"]),
+        ({"reward": np.float32([0.5, 0])}, {"reward": [0.25, 0.0]}, "reward", [0.5, 0.25]),
+        ({"observation.c": [None, NO]}, {"observation.c": [YES, NO]}, "observation.c", [None, YES]),
+        ({"action": [b"\xc3\xb6ffne", None]}, {"action": [b"x", None]}, "action", ["\u00f6ffne", "x"]),
+        ({"action": [YES, None]}, {"action": [NO, None]}, "action", [1, 0]),
+    ],
+)
+def test_files_may_have_other_types_that_hold_the_same(tmp_path, first, second, column, wanted):
+    files = []
+    for name, of in (("a", first), ("b", second)):
+        files.append(tmp_path / f"{name}.parquet")
+        pq.write_table(pa.table({"episode_id": [name] * 2, "action": ["x", None]} | STEP | of), files[-1])
+    found = read_steps(files, SECONDS, missing="keep").stages[column]
+    assert found.astype(object).where(found.notna(), None).tolist() == wanted
+
+
+DATES = pa.array([0, 1_500_000, 5_000_000, 7_250_000], pa.timestamp("us", "Europe/Berlin"))
+
+
+@pytest.mark.parametrize(
+    "clock", [DATES, DATES.cast(pa.timestamp("ns")), DATES.cast(pa.int64()).cast(pa.duration("us"))]
+)
+def test_dates_and_durations_are_clocks(tmp_path, clock):
+    columns = {name: values * 2 for name, values in STEP.items()} | {"action": ["x", None] * 2, "t": clock}
+    pq.write_table(pa.table({"episode_id": [*"aabb"], **columns}), tmp_path / "a.parquet")
+    logs = read_steps(tmp_path / "a.parquet", StepRules(clock="t"), missing="keep")
+    assert logs.end_s.tolist() == [1.5, 2.25]
+
+
+def test_files_of_no_common_type_are_refused(tmp_path):
+    rows = rows_of(episodes(), [YES] * 3)
+    files = [write_rows(tmp_path / "a", rows[:4]), write_rows(tmp_path / "b", [{**rows[4], "action": "pick"}])]
+    with refused(r"a\.parquet and 1 more: .*action has incompatible types: int64 vs string; write each column"):
+        read_steps(files, SECONDS)
+
+
 def test_without_names_episodes_begin_where_is_first_says_so(tmp_path):
     found = episodes()
     rows = [{key: value for key, value in row.items() if key != "episode_id"} for row in rows_of(found, [True] * 3)]
@@ -154,13 +197,16 @@ def test_lists_of_any_kind_are_columns(tmp_path, kind):
 # Arrays of D4RL.
 
 
-@pytest.mark.parametrize("has_next", [True, False])
+@pytest.mark.parametrize(
+    ("has_next", "flags"), [(True, "timeouts"), (False, "truncations"), (True, "episode_terminals")]
+)
 @pytest.mark.parametrize(("truncated", "ending"), [("cut", CUT), ("finished", FINISHED)])
-def test_each_ending_of_arrays_has_its_meaning(tmp_path, has_next, truncated, ending):
+def test_each_ending_of_arrays_has_its_meaning(tmp_path, has_next, flags, truncated, ending):
     found = episodes(lengths=(3, 1, 2, 4))
     # The third both terminates and times out, and the last does neither.
-    file = write_arrays(tmp_path / "a.hdf5", arrays(found, terminated=[0, 2], timed_out=[1, 2], has_next=has_next))
-    logs = read_step_arrays(file, StepRules(step_s=0.5, truncated=truncated))
+    rows = arrays(found, terminated=[0, 2], timed_out=[1, 2], has_next=has_next)
+    rows[flags] = rows.pop("timeouts") | (rows["terminals"] & (flags == "episode_terminals"))
+    logs = read_step_arrays(write_arrays(tmp_path / "a.hdf5", rows), StepRules(step_s=0.5, truncated=truncated))
     endings = [FINISHED, ending, FINISHED, ("cut", "end-of-data")]
     assert_is(logs, expected(found, endings, times_of(found, 0.5), IN_ARRAYS, has_last=has_next))
 
@@ -171,6 +217,20 @@ def test_without_timeouts_that_is_told(tmp_path):
     with pytest.warns(HalfseenWarning, match="no timeouts"), pytest.warns(HalfseenWarning, match="counts as 1 s"):
         logs = read_step_arrays(file)
     assert_is(logs, expected(found, [FINISHED] * 3, times_of(found), IN_ARRAYS))
+
+
+def test_ends_that_observations_contradict_are_told(tmp_path):
+    found = episodes(0, (3, 2, 4, 2))
+    lost = write_arrays(tmp_path / "lost.hdf5", arrays(found, terminated=(0, 2, 3)))
+    with pytest.warns(HalfseenWarning, match=r"in row 4 next_observations are not the obs.* in 1 rows: mark the ends"):
+        read_step_arrays(lost, SECONDS)
+    for episode in found:
+        episode["observed"] = (np.array(episode["observed"]) / 100 + [0.0, len(episode["actions"])]).tolist()
+    rows = arrays(found, timed_out=(0, 1, 2, 3))
+    for end in (2, 4, 8):
+        rows["next_observations"][end] = rows["observations"][end + 1]
+    with pytest.warns(HalfseenWarning, match="are the first observations of the next, as environments that reset"):
+        read_step_arrays(write_arrays(tmp_path / "reset.hdf5", rows), SECONDS)
 
 
 def test_groups_of_observations_and_named_arrays_are_read(tmp_path):
@@ -293,7 +353,7 @@ WRONG = {
         ({"timeouts": [NAN] * 8}, r"timeouts is null, neither true nor false"),
         ({"actions": np.zeros((8, 3))}, r"actions holds float64 of shape \(3,\).*discretise"),
         ({"rewards": [NAN] * 8}, r"trajectory 0, stage 1: .*reward is nan"),
-        ({"observations": np.full((8, 2), np.inf)}, r"covariate observations_0 is inf"),
+        (dict.fromkeys(["observations", "next_observations"], np.full((8, 2), np.inf)), r"observations_0 is inf"),
         ({"next_observations": np.zeros((8, 3))}, r"next_observations and observations differ in observations_2"),
         ({"rewards": np.array([(1, 2)] * 8, dtype="i4,i4")}, r"rewards holds"),
         (NOTHING | {"observations": np.zeros((0, 2)), "next_observations": np.zeros((0, 2))}, r"it has no episodes"),

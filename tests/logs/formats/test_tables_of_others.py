@@ -40,6 +40,30 @@ def test_an_offset_may_be_of_whole_hours(read_table, draft, offset):
     assert 'field = "end"' in draft(text)
 
 
+@pytest.mark.parametrize("zones", [("", "Z"), ("-05:00", "")])
+def test_beginnings_and_ends_have_a_zone_or_neither_has(read_table, zones):
+    begin, end = zones
+    text = dated(f"2025-01-02T10:00:00{begin}", f"2025-01-02T16:00:05{end}")
+    with refused(r"'2025-01-02T1\d:00:0\d' has no zone, but column '(begin|end)' has; set clock\.zone"):
+        read_table(text, DATED.replace("FORMAT", ""))
+    assert ends(read_table(text, DATED.replace("FORMAT", ', zone = "Etc/GMT+5"')))[0][1] in (3605.0, 21605.0)
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "form"),
+    [
+        ("20250102100000", "20250102100130", "%Y%m%d%H%M%S"),
+        ("20250102T1000Z", "20250102T1001Z", "%Y%m%dT%H%M%z"),
+    ],
+)
+def test_dates_without_separators_have_a_format(read_table, draft, begin, end, form):
+    with refused(rf"is a date without separators; set clock\.format = \"{form}\""):
+        read_table(dated(begin, end), DATED.replace("FORMAT", ""))
+    assert f'format = "{form}"  # guess' in draft(dated(begin, end))
+    mapping = DATED.replace("FORMAT", f', format = "{form}"' + ("" if "z" in form else ', zone = "UTC"'))
+    assert ends(read_table(dated(begin, end), mapping))[0][1] in (60.0, 90.0)
+
+
 def test_a_zone_is_not_read_from_its_name(read_table):
     """pandas drops it, or raises what only its own libraries know."""
     text = dated("2025-10-26 02:59:50 CEST", "2025-10-26 02:00:10 CET")
@@ -56,7 +80,7 @@ def test_the_index_of_pandas_and_r_is_a_column(read_table, draft):
     assert by_row.trajectories["trajectory"].tolist() == [0, 1, 2, 3]
 
 
-@pytest.mark.parametrize("text", ["NA", "nan", "<NA>", "NULL", "#NV"])
+@pytest.mark.parametrize("text", ["NA", "nan", "<NA>", "NULL", "#NV", "#REF!", "#DIV/0!"])
 @pytest.mark.parametrize("column", ["tool", "c", "run"])
 def test_a_text_for_missing_is_no_name(read_table, column, text):
     table = seen("red", text, "blue") if column == "c" else seen("red", "red", "blue")

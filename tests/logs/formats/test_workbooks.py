@@ -7,6 +7,7 @@ from pathlib import Path
 
 import openpyxl
 import pytest
+from openpyxl.utils.datetime import MAC_EPOCH, WINDOWS_EPOCH
 
 from event_files import TRIAL, ends, stages
 from halfseen.errors import HalfseenWarning
@@ -64,6 +65,28 @@ def test_cells_are_text_as_they_are_shown():
         "held": "3",
     }
     assert (cells["sofa.1"], cells["ok"]) == (["3", "4", "4.1"], ["true", "false", "true"])
+
+
+@pytest.mark.parametrize("epoch", [WINDOWS_EPOCH, MAC_EPOCH])
+def test_durations_of_days_in_a_format_of_times_are_durations(tmp_path, epoch):
+    book = openpyxl.Workbook()
+    book.epoch = epoch
+    for cell in ("took", 90 / DAY_S, 1.0, 25.5 / 24):
+        book.active.append([cell])
+    for row in book.active["A2:A4"]:
+        row[0].number_format = "h:mm:ss"
+    book.save(tmp_path / "t.xlsx")
+    found = read_cells(tmp_path / "t.xlsx", TextLayout(separator=None)).columns["took"]
+    assert found == ["00:01:30", "1 days 00:00:00", "1 days 01:30:00"]
+
+
+def test_a_heading_of_every_page_is_refused(tmp_path):
+    book = openpyxl.Workbook()
+    for row in (["took", "tool"], [1, "a"], ["took", "tool"], [2, "b"]):
+        book.active.append(row)
+    book.save(tmp_path / "t.xlsx")
+    with refused(r"t\.xlsx, row 3: the heading stands here, too, as where another table was put below; delete it"):
+        read_cells(tmp_path / "t.xlsx", TextLayout())
 
 
 def test_a_trial_and_events_of_a_workbook_are_logs(tmp_path):

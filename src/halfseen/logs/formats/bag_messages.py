@@ -6,15 +6,15 @@ goes on as before: that message was late. Just after a reset some messages may s
 recording times distinguish these cases.
 """
 
-import re
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.errors import ArgumentError, LogError
+from halfseen.errors import ArgumentError, LogError, warn
+from halfseen.logs.formats.bag_fields import AbsentEntryError, part, value_of
 from halfseen.logs.formats.bag_files import BagMessage, decoded, messages_of, opened_bag
 from halfseen.logs.formats.mapping import BagMapping, ValueSource
 from halfseen.shapes import Float
@@ -31,6 +31,12 @@ EARLIEST_DATE_NS = 10**18
 """Larger stamps are dates, not counted from where a controller or a simulation started [ns since 1970]."""
 MOST_LATE_NS = 5 * 10**9
 """Largest delay of a late message after which the clock goes on as before [ns]."""
+
+
+_DEEDS = ("trajectory", "action", "reward", "ending")
+"""Keys of values that come once at one time."""
+LONGEST_REPEAT_NS = 10**6
+"""Messages that are equal and have one stamp are one if recorded within this; simulations repeat stamps later [ns]."""
 
 
 class Event(NamedTuple):
@@ -74,10 +80,11 @@ def check_topics(bags: list[Path], mapping: BagMapping) -> None:
         )
 
 
-def read_events(bag: Path, mapping: BagMapping) -> list[list[Event]]:
+def read_events(bag: Path, mapping: BagMapping, named: dict[str, str]) -> list[list[Event]]:
     """Read all mapped values, by runs of the clock; a run begins where the clock was reset.
 
-    Each run is in the order of the clock; equal stamps keep the order of the recording.
+    Each run is in the order of the clock; equal stamps keep the order of the recording. `named` is that of `value_of`,
+    for all bags that are read together.
 
     Raises
     ------
@@ -90,6 +97,9 @@ def read_events(bag: Path, mapping: BagMapping) -> list[list[Event]]:
     for key, source in mapping.sources.items():
         by_topic.setdefault(source.topic, []).append((key, source))
     events: list[tuple[int, Event]] = []
+    absent: dict[str, AbsentEntryError] = {}
+    done: dict[Event, int] = {}
+    num_repeats = 0
     with opened_bag(bag) as reader:
         wanted = [channel for channel in reader.channels if channel.topic in by_topic]
         num_clouds = 0
@@ -100,10 +110,22 @@ def read_events(bag: Path, mapping: BagMapping) -> list[list[Event]]:
                 if key == "cloud":
                     value, num_clouds = num_clouds, num_clouds + 1
                 else:
-                    value = _value(
-                        message, key, source, f"{mapping.file}, {key}.field: {source.topic} ({channel.kind})"
-                    )
-                events.append((recorded.log_ns, Event(stamp_ns, key, value)))
+                    where = f"{mapping.file}, {key}.field: {source.topic} ({channel.kind})"
+                    try:
+                        value = value_of(message, key, source.field, where, named)
+                    except AbsentEntryError as error:
+                        absent[key] = error
+                        continue
+                event = Event(stamp_ns, key, value)
+                if key in _DEEDS and abs(recorded.log_ns - done.get(event, np.inf)) < LONGEST_REPEAT_NS:
+                    num_repeats += 1
+                    continue
+                done[event] = recorded.log_ns
+                events.append((recorded.log_ns, event))
+    if num_repeats:
+        warn(bag, f"{num_repeats:,} messages repeat one of the same time, as where a topic was recorded twice; skipped")
+    for key in absent.keys() - {event.key for _, event in events}:
+        raise absent[key]
     _refuse_unset(bag, [event for _, event in events], mapping)
     events.sort(key=lambda entry: entry[0])
     numbers = runs_of([event.stamp_ns for _, event in events], [log_ns for log_ns, _ in events])
@@ -225,65 +247,11 @@ def _stamp(message: Any, recorded: BagMessage, mapping: BagMapping) -> int:
         if recorded.publish_ns is None:
             raise ArgumentError(f'{where} comes from a bag without send times; set clock = "log"')
         return recorded.publish_ns
-    stamp = _part(_part(message, "header"), "stamp")
+    stamp = part(part(message, "header"), "stamp")
     seconds, rest_ns = (
-        next((part for name in names if (part := _part(stamp, name)) is not None), None)
+        next((found for name in names if (found := part(stamp, name)) is not None), None)
         for names in (_SECONDS, _NANOSECONDS)
     )
     if not isinstance(seconds, int | np.integer) or not isinstance(rest_ns, int | np.integer):
         raise ArgumentError(f'{where} has no header.stamp; set clock = "log"')
     return int(seconds) * 10**9 + int(rest_ns)
-
-
-def _part(value: Any, name: str) -> Any:
-    """A field of a message; None if it has no such field."""
-    return value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
-
-
-def _value(message: Any, key: str, source: ValueSource, where: str) -> Any:
-    if source.field is None:  # a trajectory's beginning without a name
-        return None
-    value = message
-    for step in source.field.split("."):
-        value = _entered(value, step, source.field, where)
-    value = value.item() if isinstance(value, np.generic) else value
-    if not isinstance(value, str | bool | int | float):
-        raise ArgumentError(
-            f"{where}, field {source.field!r} is not a single value; name {_inside(value, source.field)}"
-        )
-    _check_kind(value, key, f"{where}, field {source.field!r} is {value!r}")
-    return value
-
-
-def _entered(value: Any, step: str, path: str, where: str) -> Any:
-    if re.fullmatch(r"[0-9]+", step) and isinstance(value, list | np.ndarray):
-        if int(step) >= len(value):
-            raise ArgumentError(f"{where}, field {path!r}: there are {len(value)} entries, counted from 0; name one")
-        return value[int(step)]
-    if step not in _fields(value):
-        raise ArgumentError(f"{where} has no field {path!r}; name {_inside(value, '')}")
-    return _part(value, step)
-
-
-def _fields(value: Any) -> list[str]:
-    """Names of the fields of a message or of a part of one."""
-    if isinstance(value, Mapping):
-        return list(value)
-    return [name for name in getattr(value, "__dataclass_fields__", {}) if not name.startswith("_")]
-
-
-def _inside(value: Any, path: str) -> str:
-    """Hint at the fields with which a path could continue."""
-    prefix = f"{path}." if path else ""
-    if isinstance(value, list | np.ndarray):
-        return f"one of its {len(value)} entries, {prefix}0 to {prefix}{len(value) - 1}" if len(value) else "another"
-    return ", ".join(prefix + name for name in _fields(value)[:40]) or "a field above it"
-
-
-def _check_kind(value: Any, key: str, what: str) -> None:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if key in ("reward", "probability") and not is_number:
-        raise ArgumentError(f"{what}, not a number; name another field")
-    is_name = isinstance(value, str) or (isinstance(value, int) and is_number)
-    if key in ("action", "object", "trajectory") and not is_name:
-        raise ArgumentError(f"{what}, neither text nor a whole number; name another field")

@@ -95,9 +95,10 @@ def read_bag(
     found: list[tuple[Trajectory, str]] = []
     objects: list[pd.DataFrame] = []
     num_begun = 0
+    named: dict[str, str] = {}
     for bag in files:
         of_bag = []
-        runs = read_events(bag, mapping)
+        runs = read_events(bag, mapping, named)
         _warn_of_early(bag, runs, begin)
         for name, events in split(bag, runs, begin, mapping.file):
             num_begun += 1

@@ -4,27 +4,41 @@ import json
 import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import combinations
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from halfseen.errors import warn
+from halfseen.errors import LogError, warn
 from halfseen.logs.columns import CUT, shown
 from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, Event
 from halfseen.logs.formats.bags import Trajectory
 from halfseen.logs.formats.guesses import BEGIN_LIKE
 from halfseen.logs.formats.table_cells import ROW, Cells
 from halfseen.logs.formats.table_mapping import Clock, EventMapping
-from halfseen.logs.formats.table_values import MISSING_TEXTS, NANOSECONDS, NO_CAUSES, Stamps
+from halfseen.logs.formats.table_values import MISSING_TEXTS, NANOSECONDS, NO_CAUSES, ZONED, Stamps
 from halfseen.suggestions import folded
 
 _ROUNDED = re.compile(r"-?\d([.,]\d+)?[eE]\+\d+")
+_GOOD, _BAD = (re.compile(rf"(?<![a-z]){word}", re.IGNORECASE) for word in ("good", "bad|uncertain"))
+_GOOD_CODES, _BAD_CODES = ("192", "216"), ["0", "4", "8", "12", "16", "20", "24", "28", "64", "68", "80", "84", "88"]
+"""Qualities of values in OPC UA, as text, and in classic OPC."""
+MOST_QUALITIES = 50
+LEAST_PAUSE_NS, PAUSE = NANOSECONDS["h"], 1000.0
+"""A pause within a trajectory is long from here on [ns], and from this many times the usual time between rows on."""
 FEWEST_ON_ONE_CLOCK = 5
 """Number of trajectories that show that a clock runs on across trajectories."""
 
 
 Groups: TypeAlias = Mapping[Any, list[int]]
 """Rows by the name of their trajectory."""
+
+
+def refuse_copies(tables: Sequence[Cells]) -> None:
+    """Refuse a file that has the rows of another, whose trajectories would hold each row twice (`LogError`)."""
+    for one, other in combinations(tables, 2):
+        if one.columns == other.columns:
+            raise LogError(f"{other.file}: its rows are those of {one.file}; leave one of the two files out")
 
 
 def refuse_rounded(cells: Cells, rows: Sequence[int], column: str) -> None:
@@ -41,6 +55,15 @@ def refuse_blank(cells: Cells, rows: Sequence[int], column: str, key: str) -> No
     if row is not None:
         merged = f'set fill_down = ["{column}"] in [table] if it repeats the cell above'
         cells.refuse(row, column, f"is not a valid {key}; give one, leave the row out, or {merged}")
+
+
+def refuse_one_zone(cells: Cells, clock: Clock) -> None:
+    """Refuse ends with a zone beside beginnings without one, or the reverse (`LogError`)."""
+    if clock.zone is None and clock.format is None and clock.begins:
+        ends = (clock.fields[-1], clock.begins[-1])
+        without = [column for column in ends if not ZONED.search(cells.columns[column][0])]
+        if len(without) == 1:
+            cells.refuse(0, without[0], f"has no zone, but column {({*ends} - {*without}).pop()!r} has; set clock.zone")
 
 
 def refuse_unset(cells: Cells, stamps: Stamps, clock: Clock) -> None:
@@ -87,6 +110,21 @@ def warn_of_respelled_events(cells: Cells, mapping: EventMapping) -> None:
             warn(cells.file, f"{trouble}; name them in the mapping, too, if they are the same")
 
 
+def warn_of_bad_values(cells: Cells, mapping: EventMapping) -> None:
+    """Warn about rows that a column beside the mapped ones calls bad, as the quality of a historian does."""
+    mapped = {mapping.column(key) for key in mapping.entries} | {name for _, name in mapping.clock.columns}
+    for name in (name for name in cells.columns if name not in mapped | {mapping.topic}):
+        counts = Counter(cells.columns[name])
+        if len(counts) > MOST_QUALITIES:
+            continue
+        has_codes = "192" in counts and counts.keys() <= {*_BAD_CODES, *_GOOD_CODES}
+        bad = [text for text in counts if _BAD.search(text) or (has_codes and text in _BAD_CODES)]
+        if bad and (has_codes or any(map(_GOOD.search, counts))):
+            num_bad = sum(counts[text] for text in bad)
+            trouble = f"it is {shown(bad[0])} in {num_bad:,} rows, whose values count like any others"
+            warn(f"{cells.file}, column {name!r}", f"{trouble}; leave them out if it tells how they were measured")
+
+
 def warn_of_repeats(cells: Cells, mapping: EventMapping) -> None:
     """Warn about rows that repeat the one above, where no clock tells whether a stage was written twice."""
     columns = [texts for name, texts in cells.columns.items() if name != ROW]
@@ -98,22 +136,38 @@ def warn_of_repeats(cells: Cells, mapping: EventMapping) -> None:
         warn(cells.place(repeats[0]), f"{trouble}; if it was written twice, delete it")
 
 
-def warn_of_rows_apart(cells: Cells, groups: Groups, mapping: EventMapping) -> None:
-    """Warn about trajectories whose rows do not stand together: their names may have been used again."""
+def warn_of_rows_apart(cells: Cells, groups: Groups, stamps: Stamps, mapping: EventMapping) -> None:
+    """Warn about trajectories whose rows stand apart, in the table or in time: their names may have been used again."""
     if mapping.topic is not None and mapping.clock.since is None:
-        return
-    order = np.sort(np.concatenate([np.asarray(rows, dtype=np.int64) for rows in groups.values()]))
-    places = {name: np.searchsorted(order, rows) for name, rows in groups.items()}
-    breaks = {name: np.flatnonzero(np.abs(np.diff(at)) > 1) for name, at in places.items()}
-    apart = [(groups[name][at[0] + 1], name) for name, at in breaks.items() if len(at)]
+        is_named = mapping.trajectory is not None and not mapping.has_begins
+        apart, how = _apart_in_time(groups, stamps) if is_named else [], "have long pauses"
+    else:
+        order = np.sort(np.concatenate([np.asarray(rows, dtype=np.int64) for rows in groups.values()]))
+        places = {name: np.searchsorted(order, rows) for name, rows in groups.items()}
+        breaks = {name: np.flatnonzero(np.abs(np.diff(at)) > 1) for name, at in places.items()}
+        apart, how = [(groups[name][at[0] + 1], name) for name, at in breaks.items() if len(at)], "are not adjacent"
     if apart:
         row, name = apart[0]
         warn(
             cells.place(row),
-            f"rows of trajectory {shown(name)} are not adjacent, as in {len(apart):,} of {len(groups):,} "
-            "trajectories, and each counts as one: if names were reused, convert each part separately, and join the "
-            "logs",
+            f"rows of trajectory {shown(name)} {how}, as in {len(apart):,} of {len(groups):,} trajectories, and each "
+            "counts as one: if names were reused, convert each part separately, and join the logs",
         )
+
+
+def _apart_in_time(groups: Groups, stamps: Stamps) -> list[tuple[int, Any]]:
+    """The first row after a long pause of each trajectory with one, in which others go on; and its name."""
+    ordered = {name: np.asarray(rows)[np.argsort(stamps[rows], kind="stable")] for name, rows in groups.items()}
+    steps = {name: np.diff(stamps[rows]) for name, rows in ordered.items()}
+    usual = float(np.median(np.concatenate([*steps.values(), np.zeros(1)])))
+    found, times = [], np.sort(stamps)
+    for name, rows in ordered.items():
+        at = int(steps[name].argmax()) if len(rows) > 1 else -1
+        if at >= 0 and steps[name][at] > max(LEAST_PAUSE_NS, PAUSE * usual):
+            before, after = stamps[rows[at]], stamps[rows[at + 1]]
+            if np.searchsorted(times, after) > np.searchsorted(times, before, side="right"):
+                found.append((int(rows[at + 1]), name))
+    return found
 
 
 def warn_of_reordered(cells: Cells, groups: Groups, stamps: Stamps, mapping: EventMapping) -> None:

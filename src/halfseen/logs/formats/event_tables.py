@@ -3,9 +3,8 @@
 A mapping has the same tables as for bags (`halfseen.logs.formats.bags`), and rows become stages as messages do:
 ``field`` is a column, and ``topic`` a row's text in the column of events. Without a column of events each row is a
 stage, and an empty cell carries no value. If trajectories have a column, each of their rows advances their clock,
-mapped or not. A table of one row a trajectory becomes one of stages first. A trajectory without an ending was cut: "log
-ended". A clock of numbers may start again where an event begins a trajectory, as that of a controller does when it is
-restarted.
+mapped or not. A trajectory without an ending was cut: "log ended". A clock of numbers may start again where an event
+begins a trajectory, as that of a controller does when it is restarted.
 """
 
 from collections import Counter
@@ -74,12 +73,12 @@ def read_event_table(
     cells, wanted = with_ending(refuse_empty(cells), wanted, file)
     _check_columns(cells, wanted, file)
     event_doubts.warn_of_respelled_events(cells, wanted)
+    event_doubts.warn_of_bad_values(cells, wanted)
     cells = cells if wanted.topic is None else _without_repeats(cells)
     event_doubts.warn_of_repeats(cells, wanted)
     needed = {name: wanted.origin(f"covariates.{name}") for name in wanted.covariates}
-    late: Counter[str] = Counter()
     finishing, remedy = wanted.ending.finishing, _remedy_after_ending(cells, wanted)
-    found, num_stale = [], 0
+    found, num_stale, late = [], 0, Counter[str]()
     for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
         late.update(event_doubts.late_covariates(events))
         trajectory = Trajectory(number if name is None else name, needed, finishing, cause=LOG_ENDED, remedy=remedy)
@@ -106,6 +105,7 @@ def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> C
     if not tables:
         raise LogError(f"{source[0].parent}: all its tables are empty; give at least one with rows")
     first, *others = tables
+    event_doubts.refuse_copies(tables if mapping.trajectory is not None else ())
     for each in others:
         differing = sorted(each.columns.keys() ^ first.columns.keys())
         if differing or each.layout.separator != first.layout.separator:
@@ -175,7 +175,7 @@ def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tu
     has_begins, since, finishing = mapping.has_begins, mapping.clock.since, mapping.ending.finishing
     ending_texts = cells.columns[mapping.column("ending")]
     groups = _groups(cells, mapping, values_of, stamps)
-    event_doubts.warn_of_rows_apart(cells, groups, mapping)
+    event_doubts.warn_of_rows_apart(cells, groups, stamps, mapping)
     event_doubts.warn_of_reordered(cells, groups, stamps, mapping)
     early: list[int] = []
     for name, unordered in groups.items():
@@ -210,13 +210,13 @@ def _columns_of_numbers(mapping: EventMapping) -> list[str]:
 def _times(cells: Cells, mapping: EventMapping, marks: Marks, file: str) -> tuple[Stamps, Stamps | None]:
     """Times of the rows and, if known, of the beginnings of their stages [ns]."""
     clock = mapping.clock
+    event_doubts.refuse_one_zone(cells, clock)
     try:
         stamps = table_values.stamps_ns(cells, clock.fields, clock, marks)
         begins = table_values.stamps_ns(cells, clock.begins, clock, marks) if clock.begins else None
     except ArgumentError as error:
         raise ArgumentError(f"{file}, {error}") from error
-    if clock.since is not None:
-        begins = np.zeros_like(stamps)
+    begins = begins if clock.since is None else np.zeros_like(stamps)
     event_doubts.refuse_unset(cells, stamps, clock)
     if begins is not None and (begins > stamps).any():
         cells.refuse(int(np.argmax(begins > stamps)), clock.fields[-1], "is before its beginning; fix one of them")

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from halfseen.logs.formats.compact_dates import compact_format
 from halfseen.logs.formats.durations import is_duration
 from halfseen.logs.formats.ending_flags import are_flags
 from halfseen.logs.formats.table_cells import ROW, Cells
@@ -206,6 +207,8 @@ def date_formats(texts: Sequence[str]) -> list[str]:
     some = pd.Series(list(dict.fromkeys(texts))[:_ROWS_LOOKED_AT], dtype=object)
     if some.map(lambda text: ISO.fullmatch(text) is not None).all():
         return ["ISO8601"]
+    if (compact := compact_format(some.iloc[0])) is not None:
+        return [compact] if {*map(compact_format, some)} == {compact} else []
     if ":" not in some.iloc[0]:
         return []
     days = [f"{day} {time}" for day in _DAYS for time in _TIMES]

@@ -44,9 +44,9 @@ DATA_OF = {"v2": "chunk-*/episode_*.parquet", "v3": "chunk-*/file-*.parquet"}
 SEEN = "observation"
 DONE, TERMINATED, SUCCESS, TRUNCATED = "next.done", "next.terminated", "next.success", "next.truncated"
 FLAGS = (DONE, TERMINATED, SUCCESS, TRUNCATED)
-EPISODE, TASK_INDEX, TIMESTAMP = "episode_index", "task_index", "timestamp"
+EPISODE, FRAME, TASK_INDEX, TIMESTAMP = "episode_index", "frame_index", "task_index", "timestamp"
 _PICTURES = ("image", "video")
-_BOOKKEEPING = (EPISODE, TASK_INDEX, TIMESTAMP, "frame_index", "index")
+_BOOKKEEPING = (EPISODE, FRAME, TASK_INDEX, TIMESTAMP, "index")
 
 
 def read_lerobot(folder: str | Path, rules: StepRules | None = None, *, missing: Missing = None) -> Logs:
@@ -83,6 +83,7 @@ def read_lerobot(folder: str | Path, rules: StepRules | None = None, *, missing:
     episode = steps.columns[EPISODE]
     begins = begins_of(data, "frames", episode, "copy the dataset again")
     _check_counts(folder, info, episode, begins)
+    _check_order(steps, begins)
     seen = {name: values for name, values in steps.columns.items() if name.startswith(SEEN)}
     tasks = folder / "meta" / ("tasks.jsonl" if info.version == "v2" else "tasks.parquet")
     if TASK_INDEX in steps.columns and tasks.exists():
@@ -150,7 +151,7 @@ def _columns(folder: Path, info: Info, named: dict[str, str]) -> dict[str, np.nd
         there = [str(name) for name in parquet_file(files[0]).schema_arrow.names if name not in pictures]
     require(str(folder), there, {**named, "number of each episode": EPISODE})
     seen = [name for name in there if name.startswith(SEEN)]
-    known = dict.fromkeys([*seen, *named.values(), EPISODE, TIMESTAMP, TASK_INDEX, *FLAGS])
+    known = dict.fromkeys([*seen, *named.values(), EPISODE, FRAME, TIMESTAMP, TASK_INDEX, *FLAGS])
     wanted = [name for name in known if name in there]
     left_out = [name for name in features if name not in (*wanted, *_BOOKKEEPING)]
     if left_out:
@@ -160,7 +161,7 @@ def _columns(folder: Path, info: Info, named: dict[str, str]) -> dict[str, np.nd
             f"left out are {names}: columns of a stage cannot hold them, or they were not known before the action",
         )
     table = read_tables(files, wanted)
-    for name in (name for name in (EPISODE, TASK_INDEX) if name in wanted):
+    for name in (name for name in (EPISODE, FRAME, TASK_INDEX) if name in wanted):
         _whole(folder / "data", table, name)
     return {name: as_array(str(folder / "data"), table, name) for name in wanted}
 
@@ -200,7 +201,7 @@ def _check_counts(folder: Path, info: Info, episode: np.ndarray, begins: np.ndar
     lengths = _lengths(folder, info)
     found = dict(zip(episode[begins[:-1]].tolist(), np.diff(begins).tolist(), strict=True))
     for name in sorted({*lengths, *found}, key=str):
-        if lengths.get(name) != found.get(name):
+        if lengths.get(name, 0) != found.get(name, 0):
             raise LogError(
                 f"{folder}, episode {shown(name)}: meta/episodes counts {lengths.get(name, 0)} frames, but data has "
                 f"{found.get(name, 0)}; copy the whole dataset again"
@@ -210,6 +211,19 @@ def _check_counts(folder: Path, info: Info, episode: np.ndarray, begins: np.ndar
             f"{folder / INFO}: total_frames is {info.total_frames}, but data has {len(episode)}; copy the "
             "whole dataset again"
         )
+
+
+def _check_order(steps: StepColumns, begins: Int[np.ndarray, " E1"]) -> None:
+    """Refuse frames that are not in the order of their numbers, as after a shuffle."""
+    if FRAME in steps.columns:
+        frame = steps.columns[FRAME]
+        is_back = frame[1:] <= frame[:-1]
+        is_back[begins[1:-1] - 1] = False
+        if (row := first_true(is_back)) is not None:
+            raise LogError(
+                f"{steps.place}, episode {shown(steps.columns[EPISODE][row])}: frame {frame[row + 1]} comes after "
+                f"frame {frame[row]}; put the frames in order, or copy the whole dataset again"
+            )
 
 
 def _endings(steps: StepColumns, rules: StepRules, begins: Int[np.ndarray, " E1"]) -> list[Ending]:

@@ -1,4 +1,7 @@
-"""Stray quotes in CSV that open a cell: readers silently absorb the following rows into that cell."""
+"""Stray quotes in CSV that open a cell: readers silently absorb the following rows into that cell.
+
+And headings within it, where files were put one below the other: readers take them for rows.
+"""
 
 import re
 from collections.abc import Callable, Iterable, Iterator
@@ -6,6 +9,7 @@ from typing import NoReturn
 
 from halfseen.errors import LogError
 
+_BYTE_ORDER_MARK = "\ufeff"
 FEWEST_SEPARATORS = 2
 """Least number of separators in a heading for lines of one cell with as many to look like rows; a line of prose may
 have one comma."""
@@ -25,7 +29,7 @@ def check_quotes(
     is_spaced: bool = False,
     on_rows: Callable[[str, str], object] = refuse,
 ) -> None:
-    """Refuse an unclosed quote, and report a quoted cell whose lines look like rows.
+    """Refuse an unclosed quote and a second heading, and report a quoted cell whose lines look like rows.
 
     Parameters
     ----------
@@ -45,12 +49,17 @@ def check_quotes(
     Raises
     ------
     LogError
-        A quote is never closed.
+        A quote is never closed, or another file begins below the first line.
     """
-    usual = None
+    usual = heading = None
     for begin, record in _records(lines, separator, first, is_spaced):
         if not record:
             refuse(f"{file}, line {begin}", "a quote opens a cell here and is not closed; delete it, or close it")
+        start = record[0].rstrip()
+        heading = start.removeprefix(_BYTE_ORDER_MARK) if heading is None else heading
+        if begin > first and start and (start.startswith(_BYTE_ORDER_MARK) or start == heading):
+            what = "the heading stands" if start.removeprefix(_BYTE_ORDER_MARK) == heading else "a byte order mark is"
+            refuse(f"{file}, line {begin}", f"{what} here, too, as where another file was put below; delete it")
         counts = [line.count(separator) for line in record]
         usual = counts[0] if usual is None else usual
         if len(record) > 1 and usual >= FEWEST_SEPARATORS and min(counts) >= usual:

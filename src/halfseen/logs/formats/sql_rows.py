@@ -207,8 +207,9 @@ def _column(place: str, name: str, values: list[Any]) -> Any:
         column = pa.array(plain)
     except (pa.ArrowException, ValueError, TypeError, OverflowError) as error:
         kinds = ", ".join(sorted({type(value).__name__ for value in plain if value is not None}))
+        does = "mixes" if "," in kinds else "cannot hold its"
         raise LogError(
-            f"{place}: column {shown(name)} mixes {kinds} ({reason_of(error)}); give it one type (CAST)"
+            f"{place}: column {shown(name)} {does} {kinds} ({reason_of(error)}); give it one type (CAST)"
         ) from error
     lists = None if name in OWN_NAMES else from_list_texts(column)
     return column if lists is None else lists

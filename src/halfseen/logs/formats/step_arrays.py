@@ -1,9 +1,9 @@
 """Arrays of steps: in an HDF5 file like those of D4RL, and in Minari datasets written by other programs.
 
 In HDF5 all episodes are concatenated, one row per step. ``observations``, ``actions``, ``rewards`` and ``terminals``
-are required; ``timeouts`` marks truncated episodes, and ``next_observations`` holds the observation after each step.
-``observations`` may be a group of arrays. Arrays in ``infos`` and elsewhere are read only if named as the action, the
-reward, the end or the clock.
+are required; ``timeouts`` marks truncated episodes (also ``truncations``, or ``episode_terminals`` of d3rlpy), and
+``next_observations`` holds the observation after each step. ``observations`` may be a group of arrays. Arrays in
+``infos`` and elsewhere are read only if named as the action, the reward, the end or the clock.
 
 Minari has one more observation than steps. A terminated episode is a finished trajectory, a truncated one is a cut
 trajectory.
@@ -25,10 +25,14 @@ from halfseen.logs.formats.steps import Ending, StepColumns, StepRules, StepTabl
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, refused
-from halfseen.shapes import Float, Shaped
+from halfseen.shapes import Float, Int, Shaped
 
-SEEN, NEXT_SEEN, TIMEOUTS = "observations", "next_observations", "timeouts"
+SEEN, NEXT_SEEN = "observations", "next_observations"
+TIMEOUTS = ("timeouts", "truncations", "episode_terminals")
+"""Names of the flags of truncation, of which the first that is there counts; the last are also true of other ends."""
 END_OF_DATA = "end-of-data"
+FEWEST_ENDS = 3
+"""Number of ends of episodes that show whether observations jump there."""
 MOST_GROUPS = 1000
 """Largest number of groups at one level, since groups may contain one another."""
 
@@ -65,17 +69,19 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None, *, missin
     named = {"action": "actions", "reward": "rewards", "done": "terminals"} | rules.named
     steps = StepColumns(place, _arrays(file, named))
     is_terminal = steps.flags(named["done"])
-    if TIMEOUTS in steps.columns:
-        is_timeout = steps.flags(TIMEOUTS)
+    is_timeout = np.zeros(len(is_terminal), dtype=bool)
+    if (timeouts := next((name for name in TIMEOUTS if name in steps.columns), None)) is not None:
+        is_timeout = steps.flags(timeouts)
     else:
-        warn(place, f"there are no {TIMEOUTS}, so an episode ends only where it terminated")
-        is_timeout = np.zeros(len(is_terminal), dtype=bool)
+        warn(place, f"there are no {TIMEOUTS[0]}, so an episode ends only where it terminated")
     observed = steps.observed([name for name in steps.columns if _is_below(name, SEEN)])
     following = _following(steps, observed)
     ends = np.array(sorted({*(np.flatnonzero(is_terminal | is_timeout) + 1), len(is_terminal)} - {0}), dtype=np.int64)
     of_steps = begins = np.append(0, ends).astype(np.int64)
     rows = np.arange(len(is_terminal))
-    if following is not None:  # append to each episode the observation after its last step
+    if following is not None:
+        _warn_of_others_below(place, observed, following, ends)
+        # Append to each episode the observation after its last step.
         rows, begins = np.insert(rows, ends, len(rows) + ends - 1), begins + np.arange(len(begins))
         observed = {name: np.append(values, following[name])[rows] for name, values in observed.items()}
     step_s = rules.step_in(place)
@@ -102,7 +108,7 @@ def _arrays(file: Path, names: dict[str, str]) -> dict[str, np.ndarray]:
     with _opened(file) as (root, num_bytes):
         there = _named(file, root)
         require(str(file), there, names)
-        asked = {*names.values(), TIMEOUTS}
+        asked = {*names.values(), *TIMEOUTS}
         wanted = [name for name in there if name in asked or _is_below(name, SEEN) or _is_below(name, NEXT_SEEN)]
         if not any(_is_below(name, SEEN) for name in wanted):
             require(str(file), there, {"observations": SEEN}, "rename it")
@@ -186,6 +192,36 @@ def _following(steps: StepColumns, observed: Mapping[str, Any]) -> dict[str, np.
         differing = ", ".join(sorted(set(following) ^ set(observed))[:10])
         raise LogError(f"{steps.place}: {NEXT_SEEN} and {SEEN} differ in {differing}; write both of the same shape")
     return following
+
+
+def _warn_of_others_below(
+    place: str, observed: Mapping[str, Any], following: Mapping[str, Any], ends: Int[np.ndarray, " E"]
+) -> None:
+    """Warn where the observation after a step is not that of the row below, or is the first of the next episode."""
+    is_end = np.isin(np.arange(1, len(next(iter(observed.values()), ()))), ends)
+    is_same, is_jump = np.ones(len(is_end), dtype=bool), False
+    for name, values in observed.items():
+        after, below = following[name][:-1], values[1:]
+        if values.dtype.kind not in "iuf":
+            is_same &= after == below
+            continue
+        is_same &= np.isclose(after, below, equal_nan=True)
+        with np.errstate(invalid="ignore"):  # infinity, which is refused later
+            steps = np.abs(after.astype(np.float64) - values[:-1])
+        is_jump |= is_end.sum() >= FEWEST_ENDS and np.median(steps[is_end]) > steps[~is_end].max(initial=0.0)
+    apart = np.flatnonzero(~is_same & ~is_end)
+    if len(apart):
+        warn(
+            place,
+            f"in row {apart[0]} {NEXT_SEEN} are not the {SEEN} of the row below, yet no episode ends there, as in "
+            f"{len(apart):,} rows: mark the ends of episodes in {TIMEOUTS[0]}, or put the steps in order",
+        )
+    if is_jump and is_same[is_end].all():
+        warn(
+            place,
+            f"{NEXT_SEEN} at the ends of episodes are the first {SEEN} of the next, as environments that reset "
+            "themselves return them, and count as seen at a cut; record the final observation in their place",
+        )
 
 
 # Minari.

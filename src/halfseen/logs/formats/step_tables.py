@@ -28,7 +28,7 @@ from halfseen.logs.formats.steps import StepColumns, StepRules, StepTable, begin
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.logs.parquet import parquet_file
-from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, opened_text, refused
+from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, opened_text, reason_of, refused
 from halfseen.shapes import Bool, Float, Int, Shaped
 
 SEEN = "observation"
@@ -120,7 +120,7 @@ def _episodes(steps: StepColumns, label: str | None) -> tuple[list[int | str], I
             f"{place}, row {row}: {FIRST} is {bool(is_first[row])}, yet {label} is {shown(labels[row])}; fix one of "
             "the two"
         )
-    begins = begins_of(place, "rows", labels, "sort them")
+    begins = begins_of(place, "rows", labels, "sort them, or give each a name of its own")
     return labels[begins[:-1]].tolist(), begins
 
 
@@ -177,21 +177,25 @@ def read_tables(files: Sequence[Path], columns: Iterable[str] | None = None, nam
     Raises
     ------
     LogError
-        A file is missing, broken, too large, or has other columns than the first; or no file has a row.
+        A file is missing, broken, too large, or has other columns than the first; no file has a row; or a column has
+        types of which none holds all values.
     """
     wanted = None if columns is None else list(columns)
     tables = [_read(file, wanted, names) for file in files]
     for file, table in zip(files, tables, strict=True):
-        if not table.schema.equals(tables[0].schema):
-            differing = set(table.schema) ^ set(tables[0].schema)
-            names = ", ".join(sorted({field.name for field in differing})) or "other orders"
+        if differing := {*table.column_names} ^ {*tables[0].column_names}:
             raise LogError(
-                f"{file}: its columns differ from those of {files[0]} ({names}); give files of one table, or convert "
-                "each separately"
+                f"{file}: its columns differ from those of {files[0]} ({', '.join(sorted(differing))}); give files of "
+                "one table, or convert each separately"
             )
     if not any(table.num_rows for table in tables):
         raise LogError(f"{', '.join(map(str, files[:3]))}: there are no rows; give a table with at least one")
-    return pa.concat_tables(tables)
+    try:
+        ordered = [table.select(tables[0].column_names) for table in tables]
+        return pa.concat_tables(ordered, promote_options="permissive")
+    except pa.ArrowException as error:
+        place = f"{files[0]} and {len(files) - 1} more"
+        raise LogError(f"{place}: {reason_of(error)}; write each column with one type in all files") from error
 
 
 def as_array(place: str, table: pa.Table, name: str) -> Shaped[np.ndarray, "N ..."]:
@@ -305,6 +309,16 @@ def _array(place: str, name: str, values: Any) -> np.ndarray:
         values = values.dictionary_decode()
     if pa.types.is_decimal(values.type):
         values = values.cast(pa.float64())
+    if pa.types.is_binary(values.type) or pa.types.is_large_binary(values.type):
+        values = _as_text(values)
     if pa.types.is_string(values.type) or pa.types.is_large_string(values.type) or pa.types.is_null(values.type):
         return np.array(values.to_pylist(), dtype=object)
     return values.to_numpy(zero_copy_only=False)
+
+
+def _as_text(values: Any) -> Any:
+    """Bytes as text, as Spark and TensorFlow write it; unchanged unless all are UTF-8, as those of pictures are not."""
+    try:
+        return values.cast(pa.string())
+    except pa.ArrowInvalid:
+        return values

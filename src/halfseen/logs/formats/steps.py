@@ -104,11 +104,14 @@ class StepColumns:
     columns: Mapping[str, Shaped[np.ndarray, "N ..."]]
 
     def numbers(self, name: str, role: str = "clock") -> Float[np.ndarray, " N"]:
-        """Rewards, flags or times, one number per step; true counts as 1, other types are refused."""
+        """Rewards, flags or times, one number per step; true counts as 1, dates from the first; others are refused."""
         values, flat = self.columns[name], self._flat(name)
         if flat.ndim == 1 and flat.dtype == object and (row := _first_text(flat)) is not None:
             trouble = f"{name} is {shown(flat[row])}, not {_MEANT[role]}"
             raise ArgumentError(f"{self.place}, row {row}: {trouble}; fix it, or name another column as {role}")
+        if role == "clock" and flat.ndim == 1 and flat.dtype.kind in "mM":
+            since = flat[:1] if flat.dtype.kind == "M" else np.timedelta64(0, "ns")
+            flat = (flat - since) / np.timedelta64(1, "s")
         if flat.ndim != 1 or flat.dtype.kind not in "biuf":
             raise ArgumentError(
                 f"{self.place}: {name} holds {values.dtype} of shape {values.shape[1:]}, not {_MEANT[role]} for "
@@ -133,6 +136,8 @@ class StepColumns:
     def actions(self, name: str, rows: Bool[np.ndarray, " N"] | slice = slice(None)) -> Shaped[np.ndarray, " M"]:
         """Actions of the given rows, each one of finitely many: whole numbers (null as None) or text."""
         values, flat = self.columns[name], self._flat(name)[rows]
+        if flat.dtype == object and not _is_strange(flat, bool):
+            flat = flat.astype(bool)
         if flat.ndim == 1 and flat.dtype.kind in "biu":
             if flat.dtype.kind == "u" and (flat >= 2**63).any():
                 raise LogError(f"{self.place}: {name} is {flat.max()}, beyond 64-bit integers; give names as text")
@@ -159,7 +164,11 @@ class StepColumns:
         passed_over = []
         for name in names:
             values = self.columns[name]
-            if values.dtype.kind not in "biufO" or values[:1].size > MOST_NUMBERS or _is_strange(values):
+            if (
+                values.dtype.kind not in "biufO"
+                or values[:1].size > MOST_NUMBERS
+                or _is_strange(values, str | bool | None)
+            ):
                 passed_over.append(f"{name} ({values.dtype} of shape {values.shape[1:]})")
                 continue
             for column, entries in columns_of(name, values).items():
@@ -298,6 +307,6 @@ def _first_text(values: np.ndarray) -> int | None:
     return rows[int(np.argmax(np.isnan(numbers)))] if rows else None
 
 
-def _is_strange(values: np.ndarray) -> bool:
-    """Whether an array holds objects other than text and null."""
-    return values.dtype == object and not all(value is None or isinstance(value, str) for value in values.flat)
+def _is_strange(values: np.ndarray, kinds: Any = str | None) -> bool:
+    """Whether an array holds objects of other kinds, by default of others than text and null."""
+    return values.dtype == object and not all(isinstance(value, kinds) for value in values.flat)

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from statistics import mode
+from statistics import multimode
 from typing import Any, BinaryIO, NoReturn
 
 import msgspec
@@ -225,8 +225,11 @@ def _decoded(file: Path, content: bytes, encoding: str | None) -> tuple[str, str
 
 def _split(file: Path, text: str, layout: TextLayout) -> Cells:
     """Split text into cells."""
-    if "\0" in text:
-        raise LogError(f"{file}: it holds null characters; set table.encoding, such as 'utf-16', or export it as UTF-8")
+    if (at := text.find("\0")) >= 0:
+        raise LogError(
+            f"{file}, line {text.count(chr(10), 0, at) + 1}: it holds null characters; delete them if power was lost "
+            "there; else set table.encoding, such as 'utf-16', or export it as UTF-8"
+        )
     lines = io.StringIO(text, newline="")
     for _ in range(layout.heading - 1):
         lines.readline()
@@ -280,6 +283,12 @@ def _checked(cells: Cells, names: list[str]) -> Cells:
     refuse_repeated(cells.file, names)
     if "" in names:
         raise LogError(f"{cells.file}: column {names.index('') + 1} has no name; give it one, or set table.heading")
+    first = next(iter(cells.columns), "")
+    for row, text in enumerate(cells.columns.get(first, [])):
+        if text == first and all(texts[row] == name for name, texts in cells.columns.items()):
+            raise LogError(
+                f"{cells.place(row)}: the heading stands here, too, as where another table was put below; delete it"
+            )
     return cells
 
 
@@ -315,7 +324,7 @@ def heading_of(file: Path) -> int:
         ways = [{number: line.count(separator) for number, line in lines} for separator in SEPARATORS]
     found: dict[int, int] = {}
     for sizes in ways:
-        usual = mode(sizes.values()) if sizes else 0
+        usual = max(multimode(sizes.values()), default=0)
         if usual:
             found[usual] = next(number for number, size in sizes.items() if size >= max(1, usual - 1))
     return found[max(found)] if found else 1

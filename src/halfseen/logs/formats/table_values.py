@@ -13,6 +13,7 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, warn
 from halfseen.logs.columns import first_true, shown
+from halfseen.logs.formats.compact_dates import are_times_of_day, compact_format
 from halfseen.logs.formats.durations import LASTED, LASTED_SHORT, are_durations, durations_ns
 from halfseen.logs.formats.table_cells import Cells
 from halfseen.logs.formats.table_mapping import Clock
@@ -26,9 +27,9 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d{1,3})?")
 _FRACTION = {mark: re.compile(rf"[-+]?\d*{re.escape(mark)}\d+([eE][-+]?\d+)?") for mark in ".,"}
 _IN_THOUSANDS = {mark: re.compile(rf"[-+]?[1-9]\d{{0,2}}({re.escape(mark)}\d{{3}})+") for mark in ".,"}
 _GROUPED = re.compile(r"[-+]?\d{1,3}[.,'\u2019 \u00a0\u202f]\d{3}(?!\d)")
-MISSING_TEXTS = ("NA", "N/A", "n/a", "#N/A", "#NV", "NaN", "nan", "NULL", "null", "<NA>", "NaT", "#VALUE!", "#WERT!")
-MISSING_TEXTS += (".",)
-"""Texts that R, pandas, databases, spreadsheets, Stata and SAS write for a missing value."""
+MISSING_TEXTS = ("NA", "N/A", "n/a", "#N/A", "#NV", "NaN", "nan", "NULL", "null", "<NA>", "NaT")
+MISSING_TEXTS += ("#VALUE!", "#WERT!", "#DIV/0!", "#REF!", "#BEZUG!", "#NAME?", "#NUM!", "#ZAHL!", "#NULL!", ".")
+"""Texts that R, pandas, databases, spreadsheets, Stata and SAS write for a missing value or an error."""
 NO_CAUSES = ("None", "none", "nil", "-", "--", "---", "?")
 """Texts that may be names, but no causes of a cut."""
 _MISSING_LIKE = {text.lower() for text in (*MISSING_TEXTS, *NO_CAUSES, "NV")}
@@ -131,7 +132,8 @@ def number_at(cells: Cells, row: int, column: str, marks: Marks) -> float:
     value = float(plain_number(cell, marks) or "nan")
     if not np.isfinite(value):
         mark = grouped_by(cell)
-        remedy = f'set table.thousands = "{mark}" in the mapping' if mark else "set values, type or table.decimal"
+        others = "set values, type or table.decimal" if cells.layout.separator else "set values or type"
+        remedy = f'set table.thousands = "{mark}" in the mapping' if mark else others
         remedy = _remedy_if_missing(cell) or remedy
         cells.refuse(row, column, f"is not a number with decimal mark {marks.decimal!r}; fix it, or {remedy}")
     if re.fullmatch(r"[-+]?\d+", cell) and int(value) != int(cell):
@@ -160,7 +162,7 @@ def refuse_most_numbers(cells: Cells, rows: Sequence[int], column: str) -> None:
 
 NANOSECONDS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9, "h": 3600 * 10**9, "d": 86400 * 10**9}
 ISO = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?)?( ?(Z|[+-]\d\d(:?\d\d)?))?")
-_ZONED = re.compile(r":.*(Z|[+-]\d\d(?::?\d\d)?)$")
+ZONED = re.compile(r":.*(Z|[+-]\d\d(?::?\d\d)?)$")
 _HOUR_NS = 3600 * 10**9
 _DAY_ALONE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}")
 TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d{1,9})?)?( ?[AaPp][Mm])?")
@@ -193,7 +195,7 @@ def stamps_ns(cells: Cells, columns: Sequence[str], clock: Clock, marks: Marks) 
     if clock.format is None:
         _refuse_not_iso(cells, column)
         written = written.str.replace(",", ".", regex=False).str.replace(r" (?=Z|[+-])", "", regex=True)
-        is_zoned = written.str.contains(_ZONED.pattern.replace("(Z", "(?:Z"), regex=True).to_numpy(dtype=bool)
+        is_zoned = written.str.contains(ZONED.pattern.replace("(Z", "(?:Z"), regex=True).to_numpy(dtype=bool)
     else:
         is_zoned = np.full(len(texts), "%z" in clock.format)
     if is_zoned.any() and not is_zoned.all():
@@ -291,6 +293,8 @@ def _refuse_not_iso(cells: Cells, column: str) -> None:
     cell = texts[row]
     if not cell:
         cells.refuse(row, column, "is not a time; every row needs one")
+    if (form := compact_format(cell)) is not None:
+        cells.refuse(row, column, f'is a date without separators; set clock.format = "{form}"')
     if is_numeric(cell):
         cells.refuse(row, column, "is a number; set clock.unit: s, ms, us, ns, min, h or d")
     if TIME_OF_DAY.fullmatch(cell):
@@ -325,6 +329,11 @@ def _counted(cells: Cells, column: str, factor: int, marks: Marks) -> Stamps:
     rounded = next((cell for cell in cells.columns[column] if _OF_FEW_DIGITS.fullmatch(cell)), None)
     if rounded is not None:
         warn(f"{cells.file}, column {column!r}", f"times such as {rounded!r} are rounded; export them with all digits")
+    if factor == NANOSECONDS["s"] and are_times_of_day(cells.columns[column]):
+        trouble = (
+            'look like hours, minutes and seconds, as no minute or second is above 59; if so, set format = "%H%M%S"'
+        )
+        warn(f"{cells.file}, column {column!r}", f"times such as {cells.columns[column][0]!r} {trouble}")
     stamps = np.zeros(len(cells.rows), dtype=np.int64)
     for row, cell in enumerate(cells.columns[column]):
         if (number := plain_number(cell, marks)) is None:

@@ -1,6 +1,6 @@
 """The cells of a sheet in an Excel workbook (.xlsx, .xlsm) as text: dates as ISO 8601, numbers as Python writes them.
 
-Formulas have their last value, and durations are days.
+Formulas have their last value. Durations are days, or text if their format is that of times of day.
 """
 
 import re
@@ -18,6 +18,8 @@ from halfseen.reading import TABLE, check_unpacked, opened
 
 MOST_CELLS = 5 * 10**7
 """Most cells of a sheet, empty ones before others included."""
+LAST_YEAR_OF_DURATIONS = 1904
+"""Dates until this year are durations of more than a day, in a format such as hh:mm:ss."""
 _BYTES_AT_ONCE = 2**20
 _UNCOMPUTED = re.compile(
     rb'<c r="([A-Z]+[0-9]+)"(?:(?! t="str")[^>])*><f(?:[^>]*/>|[^>]*>[^<]*</f>)(?:<v ?/>|<v></v>)?</c>'
@@ -57,7 +59,7 @@ def rows_of_sheet(file: Path, sheet: str | None) -> dict[int, list[str]]:
             warn(file, f"of its sheets {names}, the first is read; set table.sheet for another")
         # The size that a file states may be wrong.
         found.reset_dimensions()
-        return dict(_rows(found))
+        return dict(_rows(found, book.epoch))
 
 
 def _warn_of_uncomputed(file: Path, archive: zipfile.ZipFile) -> None:
@@ -74,19 +76,19 @@ def _warn_of_uncomputed(file: Path, archive: zipfile.ZipFile) -> None:
         warn(file, f"{trouble}; open the file in a spreadsheet program and save it")
 
 
-def _rows(sheet: Any) -> Iterator[tuple[int, list[str]]]:
+def _rows(sheet: Any, epoch: datetime) -> Iterator[tuple[int, list[str]]]:
     num_cells = 0
     for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
         num_cells += len(row)
         if num_cells > MOST_CELLS:
             raise ValueError(f"a sheet of more than {MOST_CELLS:,} cells; export it as CSV")
-        cells = [_text(value) for value in row]
+        cells = [_text(value, epoch) for value in row]
         if any(cells):
             yield number, cells
 
 
-def _text(value: Any) -> str:
-    """The value of a cell as text."""
+def _text(value: Any, epoch: datetime) -> str:
+    """The value of a cell as text; the number 0 is the date `epoch`."""
     match value:
         case None:
             return ""
@@ -96,6 +98,9 @@ def _text(value: Any) -> str:
             return _number(float(value))
         case timedelta():
             return _number(value / timedelta(days=1))
+        case datetime() if value.year <= LAST_YEAR_OF_DURATIONS:
+            days = int(extra("openpyxl.utils.datetime", "excel").to_excel(value, epoch))
+            return f"{days} days {_text(value.time(), epoch)}"
         case datetime() if value.time() == time():
             return value.date().isoformat()
         case datetime() | time():
