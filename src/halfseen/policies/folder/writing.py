@@ -26,6 +26,7 @@ from halfseen.policies.folder.promised_parts import promised_parts, promised_sta
 from halfseen.policies.folder.record import FORMAT, VERSION, as_json, from_json
 from halfseen.policies.folder.specification import described
 from halfseen.policies.folder.stored import kind_name_of, kind_named, policy_of
+from halfseen.writing import path_of
 
 
 def write_policy(
@@ -63,13 +64,14 @@ def write_policy(
         A number of the policy is not finite.
     """
     check_fitted(learner, "policy_")
-    check_target(Path(folder), overwrite)
+    folder = path_of(folder)
+    check_target(folder, overwrite)
     arrays = kind_named(kind_name_of(learner.policy_)).arrays_of(learner.policy_)
     # The memory order of a matrix affects the rounding of a product, and so the last bit.
     by_column = [name for name, each in arrays.items() if each.flags.f_contiguous and not each.flags.c_contiguous]
     text = as_json({**record_of(learner, logs, verdict, origin), "column_major": sorted(by_column)})
     policy_of(from_json(text), arrays)
-    write_files(Path(folder), text, safetensors.numpy.save(laid_out(arrays, ())), overwrite=overwrite)
+    write_files(folder, text, safetensors.numpy.save(laid_out(arrays, ())), overwrite=overwrite)
 
 
 def record_of(
