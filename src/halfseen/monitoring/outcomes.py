@@ -215,6 +215,10 @@ class CensoredOutcomes:
             A total lies outside the range.
         """
         total = np.atleast_1d(as_floats(totals, "totals"))
+        if len(total) != clocks.num_trajectories:
+            raise ArgumentError(
+                f"totals has {len(total)} rows for {clocks.num_trajectories} trajectories; give one each"
+            )
         wrong = clocks.is_finished & ~((total >= self.low) & (total <= self.high))
         if wrong.any():
             at = int(np.argmax(wrong))
