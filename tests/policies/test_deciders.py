@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from halfseen.errors import ArgumentError, LogError, OutOfRangeError, PolicyError
+from halfseen.errors import ArgumentError, OutOfRangeError, PolicyError
 from halfseen.learning import DiscretePolicy
 from halfseen.planners import GreedyPolicy, POMDPPolicy
 from halfseen.policies import Decider, NamedObservation, decider_of
@@ -41,8 +41,11 @@ TABLES = {
 }
 
 
+OF_COLOURS = replace(FLAT, categories={"x": ("blue", "red")})
+
+
 def seen(x, stage=1):
-    return NamedObservation(pd.DataFrame({"x": [x]}), stage)
+    return NamedObservation(pd.DataFrame({"x": np.atleast_1d(x)}), stage)
 
 
 @pytest.mark.parametrize("name", TABLES)
@@ -75,7 +78,15 @@ def test_named_actions_answer_through_the_same_door():
     ("ask", "error", "message"),
     [
         (lambda: decider_of(object()), ArgumentError, "is not a policy"),
-        (lambda: decider_of(FLAT).decide(seen(np.nan)), LogError, "finite"),
+        (lambda: decider_of(FLAT).decide(seen(np.nan)), PolicyError, "the state: covariate 'x' is null; fill it in"),
+        (lambda: decider_of(FLAT).decide(seen([0.5, 2.0])), PolicyError, "the state: 2 rows; give a frame of one row"),
+        *(
+            (lambda x=x: decider_of(FLAT).decide(NamedObservation({"x": x}, 1)), PolicyError, f"the state: .*{told}")
+            for x, told in ((np.nan, "null"), (np.inf, "finite"), ("0.5", "not numeric"), (None, "null"))
+        ),
+        (lambda: decider_of(FLAT).decide({"x": 0.5}), ArgumentError, "observation is a dict; give NamedObservation"),
+        (lambda: decider_of(FLAT).decide(NamedObservation({"y": 1.0}, 1)), PolicyError, "but 'x' is missing"),
+        (lambda: decider_of(OF_COLOURS).decide(NamedObservation({"x": "green"}, 1)), PolicyError, "'green', which the"),
         (lambda: decider_of(FLAT).decide(seen(0.0, 3)), ArgumentError, "stage is 3"),
     ],
 )
