@@ -20,6 +20,7 @@ from halfseen.tables.features import NUM_FEATURES, table_features
 from halfseen.tables.present import first_state
 from halfseen.world import Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.actions import ActionSpace, Verb
+from refusals import refused_type
 
 CONFIG = WorldConfig(horizon=4)
 NOW = first_state(Scene(np.array([[0.0, 0.6], [0.0, 0.0]])), horizon=4, dirty_share=0.6)
@@ -84,7 +85,6 @@ def test_named_actions_answer_through_the_same_door():
             (lambda x=x: decider_of(FLAT).decide(NamedObservation({"x": x}, 1)), PolicyError, f"the state: .*{told}")
             for x, told in ((np.nan, "null"), (np.inf, "finite"), ("0.5", "not numeric"), (None, "null"))
         ),
-        (lambda: decider_of(FLAT).decide({"x": 0.5}), ArgumentError, "observation is a dict; give NamedObservation"),
         (lambda: decider_of(FLAT).decide(NamedObservation({"y": 1.0}, 1)), PolicyError, "but 'x' is missing"),
         (lambda: decider_of(OF_COLOURS).decide(NamedObservation({"x": "green"}, 1)), PolicyError, "'green', which the"),
         (lambda: decider_of(FLAT).decide(seen(0.0, 3)), ArgumentError, "stage is 3"),
@@ -93,6 +93,11 @@ def test_named_actions_answer_through_the_same_door():
 def test_what_is_no_policy_or_no_observation_is_refused(ask, error, message):
     with pytest.raises(error, match=message):
         ask()
+
+
+def test_a_state_is_no_observation():
+    with refused_type("observation is a dict; give NamedObservation"):
+        decider_of(FLAT).decide({"x": 0.5})
 
 
 def test_what_is_not_possible_has_no_value():
