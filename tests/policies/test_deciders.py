@@ -95,6 +95,20 @@ def test_what_is_no_policy_or_no_observation_is_refused(ask, error, message):
         ask()
 
 
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"coefficients": FLAT.coefficients[:1]}, "a row for each stage and each of the 2 actions"),
+        ({"actions": ("A", "B", "C")}, "a row for each stage and each of the 3 actions"),
+        ({"coefficients": np.nan * FLAT.coefficients}, "a coefficient is not finite"),
+        ({"is_possible": FLAT.is_possible & [[True], [False]]}, "a stage has no possible action"),
+    ],
+)
+def test_a_policy_of_other_stages_or_of_nan_is_refused(changed, told):
+    with refused_type(told):
+        replace(FLAT, **changed)
+
+
 def test_a_state_is_no_observation():
     with refused_type("observation is a dict; give NamedObservation"):
         decider_of(FLAT).decide({"x": 0.5})

@@ -12,8 +12,10 @@ import safetensors.numpy
 import halfseen
 from halfseen.censoring import positivity_report, weight_diagnostics
 from halfseen.censoring.positivity import PositivityReport
+from halfseen.errors import ArgumentError
 from halfseen.estimator import check_fitted
 from halfseen.learning.q_learner import CensoredQLearner
+from halfseen.learning.q_model import checked_log
 from halfseen.learning.sample import latest
 from halfseen.learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream
@@ -58,12 +60,18 @@ def write_policy(
     Raises
     ------
     ArgumentError
-        The folder exists or cannot be written, or the policy holds what cannot be stored: a custom grasp model, or
-        actions that are neither whole numbers nor text.
+        The log has another number of trajectories than that of the learner, the folder exists or cannot be written, or
+        the policy holds what cannot be stored: a custom grasp model, or actions that are neither whole numbers nor
+        text.
     PolicyError
         A number of the policy is not finite.
     """
     check_fitted(learner, "policy_")
+    if checked_log(logs).num_trajectories != len(learner.weights_):
+        raise ArgumentError(
+            f"the log has {logs.num_trajectories} trajectories, but the learner was fitted to {len(learner.weights_)}; "
+            "give it the log that it was fitted to"
+        )
     folder = path_of(folder)
     check_target(folder, overwrite)
     arrays = kind_named(kind_name_of(learner.policy_)).arrays_of(learner.policy_)
