@@ -145,7 +145,8 @@ def refuse_other_order(**given: Any) -> None:
         if len(labels) == len(first[1]) and not labels.equals(first[1]) and labels.isin(first[1]).all():
             row = int(np.argmax(np.asarray(labels != first[1])))
             raise ArgumentError(
-                f"{name}, row {row}: its label is {labels[row]!r}, but that of {first[0]} is {first[1][row]!r}; sort "
+                f"{name}, row {row}: its label is {labels.tolist()[row]!r}, but that of {first[0]} is "
+                f"{first[1].tolist()[row]!r}; sort "
                 f"both alike, as {name}.loc[{first[0]}.index] does, or drop labels that name no trajectory"
             )
 

@@ -206,10 +206,12 @@ def as_labels(name: str, frame: pd.DataFrame, column: str, *, is_null_allowed: b
     is_null = values.isna().to_numpy()
     if is_null.any() and not is_null_allowed:
         raise LogError(f"{name}, row {int(np.argmax(is_null))}: {column} is null; every row needs its {column}")
+    if is_null.all():
+        return pd.Series(None, index=frame.index, dtype=object)
     kind = pd.api.types.infer_dtype(values, skipna=True)
-    if kind not in {"integer", "string", "floating", "empty"}:
+    if kind not in {"integer", "string", "floating"}:
         raise LogError(f"{name}: column {column!r} holds {kind}, not names; give whole numbers or text")
-    if not pd.api.types.is_float_dtype(values.dtype) or is_null.all():
+    if not pd.api.types.is_float_dtype(values.dtype):
         return values
     numbers = values.to_numpy(dtype=np.float64, na_value=np.nan)
     if (row := first_true(~is_null & ~_is_whole(numbers))) is not None:

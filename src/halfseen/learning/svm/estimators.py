@@ -337,7 +337,7 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
                 "use sklearn.multiclass.OneVsRestClassifier"
             )
         if len(self.classes_) < 2:
-            raise ArgumentError(f"y holds only one class, {self.classes_[0]!r}; give labels of two classes")
+            raise ArgumentError(f"y holds only one class, {self.classes_.tolist()[0]!r}; give labels of two classes")
         return np.where(labels == self.classes_[1], 1.0, -1.0)
 
     def _check_seen(self, targets: Rows) -> None:
@@ -345,6 +345,6 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         seen = targets[self.weights_ > 0]
         if len(np.unique(seen)) < 2:
             raise ArgumentError(
-                f"only one class, {self.classes_[int(seen[0] > 0)]!r}, was observed among {len(targets)} rows; "
+                f"only one class, {self.classes_.tolist()[seen[0] > 0]!r}, was observed among {len(targets)} rows; "
                 "both classes are needed"
             )

@@ -137,6 +137,7 @@ class CensoredSVM(BaseEstimator):
             As returned by `_fit_function`.
         """
         self._check_parameters()
+        refuse_other_order(X=X, sample_weight=sample_weight)
         rows, ends = self._checked_rows(X, True, y), self._ends(y)
         targets = self._targets(y, ends)
         counts, self.weights_, self.censoring_ = self._weigh(rows, sample_weight, ends, targets)
