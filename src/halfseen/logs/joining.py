@@ -85,6 +85,8 @@ def write_stream(
         A trajectory comes before one of an earlier part, a part has objects or columns that earlier ones lack, or
         rewards are in two units.
     """
+    if not isinstance(parts, Iterable):
+        raise ArgumentError(f"parts is a {type(parts).__name__}; give a list of Logs")
     with placed(path_of(folder), overwrite=overwrite, marker=MANIFEST) as fresh, ExitStack() as stack:
         writers: dict[str, pq.ParquetWriter] = {}
         rows: dict[str, int] = {}
