@@ -102,6 +102,7 @@ TURNED = ["b", "a", "c", "d"]
         (lambda: positivity_report(ENDS, FINISHED, target=ENDS[TURNED]), "target, row 0: its label is 'b'"),
         (lambda: survival_array(ENDS, IS_FINISHED[TURNED]), "is_finished, row 0: its label is 'b'"),
         (lambda: CensoredSVR().fit(CLUTTER, ENDS[TURNED]), "y, row 0: its label is 'b', but that of X is 'a'"),
+        (lambda: CensoredSVR().fit(CLUTTER, ENDS, ENDS[TURNED]), "sample_weight, row 0: its label is 'b'"),
         (lambda: CensoredSVC(tau=6.0).fit(CLUTTER, (ENDS[TURNED], FINISHED)), "y, row 0: its label is 'b'"),
     ],
 )
