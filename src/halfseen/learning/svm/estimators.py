@@ -345,6 +345,6 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         seen = targets[self.weights_ > 0]
         if len(np.unique(seen)) < 2:
             raise ArgumentError(
-                f"only one class, {self.classes_.tolist()[seen[0] > 0]!r}, was observed among {len(targets)} rows; "
+                f"only one class, {self.classes_[int(seen[0] > 0)]!r}, was observed among {len(targets)} rows; "
                 "both classes are needed"
             )
