@@ -310,6 +310,11 @@ def test_what_does_not_fit_is_told_in_one_line(policy, options, message):
     assert "\n" not in str(refusal.value)
 
 
+def test_a_function_class_is_no_task():
+    with refused_type("task is 'linear'; give a Task, or None for that of the policy"):
+        QSpec("linear")
+
+
 def test_a_sequence_of_no_names_and_a_stage_in_between_are_refused():
     for sequence in (None, 3, (name for name in "AB")):
         with refused_type("sequence is .*; give a tuple of names, one for each stage"):

@@ -165,6 +165,8 @@ def test_states_that_are_no_frame_are_refused(logs, states):
     [
         (lambda: CrossValidation(1), "num_folds is 1; cross-validation needs at least 2"),
         (lambda: CrossValidation(float("inf")), "num_folds is inf"),
+        (lambda: KernelQ(trend=3.0), "trend is 3.0; give two finite numbers > 0"),
+        (lambda: NamedActions(3), "actions is 3; give a list of names, or one for each stage"),
         (lambda: KernelQ(num_landmarks=1.5), r"num_landmarks is 1\.5"),
         (lambda: Weighted("cox", covariates=iter("x")), "covariates is <str_ascii_iterator.*; give a list of names"),
         (

@@ -162,9 +162,10 @@ def test_what_lies_outside_is_refused():
         (lambda: BettingBounds(0.0, 1.0, num_points=1), "num_points is 1; give a whole number of at least 2"),
         (lambda: BettingBounds(0.0, 1.0).add(np.ma.masked_array([0.1, 0.2], [False, True])), "values, row 1: masked"),
         (
-            lambda: CensoredOutcomes(0.0, 1.0).add(StageClocks.of_ends(np.ones(3), np.ones(3, bool)), 1.0),
-            "totals has 1 rows for 3 trajectories; give as many",
+            lambda: CensoredOutcomes(0.0, 1.0).add(StageClocks.of_ends(np.ones(3), np.ones(3, bool)), [1.0]),
+            "totals has 1 rows for 3 trajectories; give one each",
         ),
+        (lambda: CensoredOutcomes(0.0, 1.0, "cox"), "censoring is 'cox'; give CensoringSpec"),
         (lambda: CensoredOutcomes(0.0, np.inf), "low is 0.0 and high inf; give two finite numbers"),
         (lambda: monitored("folder", None), "stored is a str; give a StoredPolicy, as read_policy returns"),
         (lambda: changes_in("logs"), "logs is a str; give Logs, as read_logs returns"),

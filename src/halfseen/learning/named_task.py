@@ -1,7 +1,7 @@
 """The task of named actions: each action has its own coefficients on the same plain covariates of the stage."""
 
 from collections import Counter
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -58,7 +58,7 @@ class NamedActions:
     is_shared = True
 
     def __post_init__(self) -> None:
-        if isinstance(self.actions, str):
+        if isinstance(self.actions, str | Iterator) or not isinstance(self.actions, Iterable):
             raise ArgumentError(f"actions is {self.actions!r}; give a list of names, or one for each stage")
         check_names("covariates", self.covariates)
         twice = [name for name, count in Counter(self.covariates).items() if count > 1]

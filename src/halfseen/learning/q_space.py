@@ -189,7 +189,9 @@ class KernelQ:
             raise ArgumentError(f"num_landmarks is {self.num_landmarks!r}; a kernel needs at least 1")
         if self.gamma is not None and not (is_number(self.gamma) and self.gamma > 0):
             raise ArgumentError(f"gamma is {self.gamma!r}; give a finite number > 0, or None for 1/F")
-        if self.trend is not None and not (len(self.trend) == 2 and all(is_number(c) and c > 0 for c in self.trend)):
+        if self.trend is not None and not (
+            np.size(self.trend) == 2 and all(is_number(c) and c > 0 for c in self.trend)
+        ):
             raise ArgumentError(f"trend is {self.trend!r}; give two finite numbers > 0, or None for no trend")
 
     @property

@@ -184,6 +184,8 @@ class CensoredOutcomes:
                 "the lower first"
             )
         chosen = CensoringSpec() if censoring is None else censoring
+        if not isinstance(chosen, CensoringSpec):
+            raise ArgumentError(f"censoring is {censoring!r}; give CensoringSpec(…), or None for Kaplan–Meier")
         self.low, self.high, self.largest_weight = float(low), float(high), float(largest_weight)
         self.censoring = CensoringSpec(chosen.model, chosen.by, chosen.covariates, self.largest_weight)
         self._clocks: StageClocks | None = None
