@@ -51,6 +51,9 @@ Amounts: TypeAlias = Float[Array, "*B"]
 
 Tree = TypeVar("Tree")
 
+LEAST_RANGE = 1e-12
+"""Relative to their size; values that differ by less differ by rounding alone."""
+
 
 def library_of(*values: Any) -> Any:
     """Return the array module for some arrays: ``jax.numpy`` if one of them is a JAX array, otherwise ``numpy``.

@@ -26,6 +26,10 @@ from difflib import get_close_matches
 class HalfseenError(Exception):
     """Base of all errors that a user of halfseen can cause and fix."""
 
+    def __str__(self) -> str:
+        # An array that was given by mistake would be written over several lines.
+        return " ".join(line.strip() for line in super().__str__().splitlines())
+
 
 class CloudError(HalfseenError):
     """A point cloud cannot be read, or shows no table."""

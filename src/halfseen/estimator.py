@@ -1,6 +1,8 @@
 """Estimator parameters as in scikit-learn, without importing it, which takes longer than most verbs."""
 
+from collections.abc import Iterable, Iterator
 from inspect import signature
+from numbers import Real
 from typing import Any, TypeVar
 
 import numpy as np
@@ -84,6 +86,8 @@ def check_fitted(estimator: object, attribute: str) -> None:
     sklearn.exceptions.NotFittedError
         It is not fitted.
     """
+    if not hasattr(estimator, "fit"):
+        raise ArgumentError(f"a {type(estimator).__name__} is no learner; give one that was fitted")
     if not hasattr(estimator, attribute):
         from sklearn.exceptions import NotFittedError
 
@@ -93,6 +97,25 @@ def check_fitted(estimator: object, attribute: str) -> None:
 def is_count(value: object) -> bool:
     """Whether a value is a whole number of at least 1."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= 1
+
+
+def is_number(value: object) -> bool:
+    """Whether a value is a finite real number."""
+    return isinstance(value, Real) and not isinstance(value, bool) and bool(np.isfinite(float(value)))
+
+
+def check_names(name: str, names: object) -> None:
+    """Refuse what is no list of names; an iterator would be empty when it is read again."""
+    if isinstance(names, str | Iterator) or not isinstance(names, Iterable):
+        raise ArgumentError(f"{name} is {names!r}; give a list of names")
+
+
+def check_generator(random_state: Any) -> None:
+    """Refuse what is neither a seed nor a Generator."""
+    try:
+        np.random.default_rng(random_state)
+    except (TypeError, ValueError):
+        raise ArgumentError(f"random_state is {random_state!r}; it is a seed, a whole number ≥ 0") from None
 
 
 def check_seed(random_state: object) -> None:

@@ -6,6 +6,7 @@ exclusive.
 """
 
 import os
+import re
 import shutil
 import sys
 import uuid
@@ -21,6 +22,21 @@ LOCK = ".lock"
 """File by which a folder is locked."""
 FAR_BYTE = 2**30
 """Offset of the byte that is locked on Windows [B]."""
+
+
+def path_of(folder: object) -> Path:
+    """Refuse what is no path, and addresses in object stores, which would become a folder called "s3:"; return it.
+
+    Raises
+    ------
+    ArgumentError
+        It is neither.
+    """
+    if not isinstance(folder, str | os.PathLike):
+        raise ArgumentError(f"folder is a {type(folder).__name__}; give the path of a folder")
+    if re.match(r"\w{2,}:/", os.fspath(folder)):
+        raise ArgumentError(f"{folder}: it is an address, and only logs are read from stores; give a folder")
+    return Path(folder)
 
 
 def write_file(target: Path, content: str | bytes) -> None:

@@ -150,8 +150,14 @@ def test_a_question_is_of_a_fitted_model_and_of_a_time(model):
         (Cox().set_params(ties="exact"), "ties is 'exact'; give 'efron' or 'breslow'"),
         (Cox(ridge=-1.0), "ridge is -1.0; give a finite number ≥ 0"),
         (Cox(ridge=np.nan), "ridge is nan"),
+        (
+            Cox().set_params(ridge=np.eye(2)),
+            r"^ridge is array\(\[\[1., 0.\], \[0., 1.\]\]\); give a finite number ≥ 0$",
+        ),
         (KernelKaplanMeier().set_params(kernel="tricube"), "kernel is 'tricube'; give 'gaussian' or 'epanechnikov'"),
         (KernelKaplanMeier(num_folds=1), "num_folds is 1; cross-validation needs at least 2"),
+        (KernelKaplanMeier().set_params(num_folds="5"), "num_folds is '5'; cross-validation needs at least 2"),
+        (KernelKaplanMeier().set_params(random_state="x"), "random_state is 'x'; it is a seed"),
         *(
             (KernelKaplanMeier().set_params(bandwidth=width), r"bandwidth is .*; give a number of")
             for width in (0.0, -1.0, np.nan, "wide", True, None)

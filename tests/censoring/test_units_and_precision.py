@@ -7,7 +7,18 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 
-from halfseen.censoring import Cox, KaplanMeier, KernelKaplanMeier, censoring_weights, stage_weights, weight_diagnostics
+from halfseen.censoring import (
+    CensoringSpec,
+    Cox,
+    KaplanMeier,
+    KernelKaplanMeier,
+    StageClocks,
+    censoring_weights,
+    positivity_report,
+    stage_weights,
+    weight_diagnostics,
+)
+from halfseen.learning import CensoredSVC, CensoredSVR, survival_array
 from refusals import refused, refused_type
 
 FINISHED = [False, True, False, True]
@@ -87,11 +98,30 @@ TURNED = ["b", "a", "c", "d"]
         (lambda: KernelKaplanMeier().fit(ENDS, FINISHED, CLUTTER.loc[TURNED]), "covariates, row 0: its label is 'b'"),
         (lambda: censoring_weights(ENDS[TURNED], IS_FINISHED), r"is_finished.loc\[time.index\]"),
         (lambda: stage_weights(ENDS[TURNED].to_frame(), ENDS, FINISHED), "elapsed_s, row 0: its label is 'b'"),
+        (lambda: positivity_report(ENDS, IS_FINISHED[TURNED]), "is_finished, row 0: its label is 'b'"),
+        (lambda: positivity_report(ENDS, FINISHED, target=ENDS[TURNED]), "target, row 0: its label is 'b'"),
+        (lambda: survival_array(ENDS, IS_FINISHED[TURNED]), "is_finished, row 0: its label is 'b'"),
+        (lambda: CensoredSVR().fit(CLUTTER, ENDS[TURNED]), "y, row 0: its label is 'b', but that of X is 'a'"),
+        (lambda: CensoredSVR().fit(CLUTTER, ENDS, ENDS[TURNED]), "sample_weight, row 0: its label is 'b'"),
+        (lambda: CensoredSVC(tau=6.0).fit(CLUTTER, (ENDS[TURNED], FINISHED)), "y, row 0: its label is 'b'"),
     ],
 )
 def test_rows_of_pandas_in_another_order_are_not_mixed_up(asks, told):
     with refused(told):
         asks()
+
+
+def test_a_covariate_that_differs_by_rounding_alone_is_constant():
+    """0.1 + 0.2 is not 0.3, and says nothing of cuts."""
+    ticks = np.arange(1.0, 13.0)
+    is_finished, rounded = ticks % 3 == 0, np.where(ticks % 4 < 2, 0.3, 0.1 + 0.2)
+    for model in (Cox(), KernelKaplanMeier(bandwidth=1.0)):
+        with refused("covariates, column 0: 0.3 in every row"):
+            model.fit(ticks, is_finished, rounded[:, None])
+    clocks = StageClocks.of_ends(ticks, is_finished)
+    states = np.stack([np.sin(ticks), rounded], axis=1)[:, None]
+    clocks = clocks._replace(covariates=states, covariate_names=("x", "rounded"))
+    assert CensoringSpec("cox").fit_cuts(clocks).fitted[0].columns.tolist() == [0]
 
 
 def test_rows_of_pandas_with_other_labels_are_matched_by_place():
@@ -110,6 +140,11 @@ def test_times_without_bounds(kind):
 def test_a_time_that_is_none_is_refused_in_a_line(u):
     with refused_type("u is not numeric"):
         KaplanMeier().fit([1.0, 2.0], [False, True]).survival(u)
+
+
+def test_masked_weights_are_no_weights():
+    with refused("weights, row 1: masked; fill it in"):
+        weight_diagnostics(np.ma.masked_array([1.0, 30.0], mask=[False, True]))
 
 
 def test_a_single_weight_and_a_bound_in_words():

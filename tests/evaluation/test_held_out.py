@@ -324,6 +324,7 @@ def test_a_guess_of_which_nothing_is_known_says_why():
     [
         ({"logs": None}, "logs is a NoneType; give Logs"),
         ({"num_folds": 2.5}, "num_folds is 2.5"),
+        ({"workers": 4}, "workers is 4; give Workers"),
         ({"level": 95}, "level is 95; give a number above 0 and at most"),
     ],
 )

@@ -310,11 +310,25 @@ def test_what_does_not_fit_is_told_in_one_line(policy, options, message):
     assert "\n" not in str(refusal.value)
 
 
+def test_a_function_class_is_no_task():
+    with refused_type("task is 'linear'; give a Task, or None for that of the policy"):
+        QSpec("linear")
+
+
+def test_a_sequence_of_no_names_and_a_stage_in_between_are_refused():
+    for sequence in (None, 3, (name for name in "AB")):
+        with refused_type("sequence is .*; give a tuple of names, one for each stage"):
+            FixedSequence(sequence)
+    with refused_type("stage is 1.5; it lies in 1 to the horizon, 2"):
+        FixedSequence(("A", "B")).probabilities(pd.DataFrame(index=[0]), 1.5)
+
+
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
         ({"logs": pd.DataFrame({"trajectory": [0]})}, "logs is a DataFrame; give Logs, as read_logs returns"),
         ({"q": "linear"}, "q is 'linear'; give QSpec"),
+        ({"workers": 4}, "workers is 4; give Workers of halfseen.workers, such as Workers"),
         ({"level": None}, "level is None; give a number above 0"),
         ({"trust": 3}, "trust is 3; give a list of some of"),
         (

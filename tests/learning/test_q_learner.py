@@ -11,8 +11,16 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from trials import ACTIONS, FULL, REDUCED, cell_means, indicators, log_of
 
 from halfseen.censoring import KaplanMeier, stage_weights
-from halfseen.errors import ArgumentError, LogError, PositivityError
-from halfseen.learning import CensoredQLearner, CrossValidation, DoublyRobust, KernelQ, NamedActions, Weighted, q_model
+from halfseen.errors import ArgumentError, HalfseenWarning, LogError, PositivityError
+from halfseen.learning import (
+    CensoredQLearner,
+    CrossValidation,
+    DoublyRobust,
+    KernelQ,
+    NamedActions,
+    Weighted,
+    q_model,
+)
 from halfseen.learning.behaviour import fit_choice
 from halfseen.logs import Logs
 from refusals import refused_type
@@ -129,6 +137,8 @@ def test_what_cannot_be_is_refused_in_words(logs, changed, error, message):
         ({"actions": pd.Series(["A", "B"])}, "actions is a Series; give a list of names"),
         ({"actions": [["A"], ["B"]]}, r"actions are \[\['A'\], \['B'\]\]; give a list of names, or one for each"),
         ({"covariates": None}, "covariates is None; give a list of names"),
+        ({"covariates": (name for name in ("s1_1",))}, "covariates is <generator.*; give a list of names"),
+        ({"actions": {0: ["A"], 1: ACTIONS, 2: ACTIONS}}, "actions: stage 0 does not exist; name the stages 1 to"),
         ({"half_life": [3]}, r"half_life is \[3\]; give a number of trajectories above 0"),
     ],
 )
@@ -154,6 +164,15 @@ def test_states_that_are_no_frame_are_refused(logs, states):
     ("written", "message"),
     [
         (lambda: CrossValidation(1), "num_folds is 1; cross-validation needs at least 2"),
+        (lambda: CrossValidation(float("inf")), "num_folds is inf"),
+        (lambda: KernelQ(trend=3.0), "trend is 3.0; give two finite numbers > 0"),
+        (lambda: NamedActions(3), "actions is 3; give a list of names, or one for each stage"),
+        (lambda: KernelQ(num_landmarks=1.5), r"num_landmarks is 1\.5"),
+        (lambda: Weighted("cox", covariates=iter("x")), "covariates is <str_ascii_iterator.*; give a list of names"),
+        (
+            lambda: NamedActions(ACTIONS, ["x"]).outcome_features(iter("x")),
+            "outcome_covariates is <str_ascii_iterator.*; give a list of names",
+        ),
         (lambda: Weighted(by="stage", truncate_at=0.5), r"truncate_at is 0\.5; weights are at least 1"),
         (lambda: DoublyRobust("cox", covariates="clutter"), "covariates is 'clutter'; give a list of names"),
         (lambda: NamedActions(ACTIONS, "x"), "covariates is 'x'; give a list of names"),
@@ -167,7 +186,7 @@ def test_states_that_are_no_frame_are_refused(logs, states):
     ],
 )
 def test_specifications_refuse_what_they_cannot_mean_where_they_are_written(written, message):
-    with pytest.raises(ArgumentError, match=message):
+    with refused_type(message):
         written()
 
 
@@ -234,6 +253,19 @@ def test_a_constant_in_all_rewards_changes_no_choice(one_stage):
     np.testing.assert_allclose(gains(1e5), gains(0.0), atol=1e-4)
     with pytest.raises(LogError, match=r"rewards are about 1e\+08 and differ by 0\.\d+, which rounding would erase"):
         gains(1e8)
+
+
+@pytest.mark.parametrize("reward", [3.3, np.resize([0.3, 0.1 + 0.2], 42), 0.0, -1e9])
+def test_equal_rewards_are_no_rounding_that_would_be_erased(reward):
+    policy = CensoredQLearner(1, ["A", "B"], reg=0.0).fit(log_of(["A", "B"] * 21, np.broadcast_to(reward, 42))).policy_
+    q = policy.q_values(pd.DataFrame(index=[0]), 1)
+    np.testing.assert_allclose(q, np.broadcast_to(np.mean(reward), (1, 2)), rtol=1e-12)
+
+
+def test_a_half_life_warns_of_names_that_are_sorted_as_text(one_stage):
+    renamed = (each.assign(trajectory=each["trajectory"].map("run-{}".format)) for each in one_stage)
+    with pytest.warns(HalfseenWarning, match="half_life: trajectories are sorted by name as text, where 'run-1"):
+        CensoredQLearner(1, ["a", "b"], ["x"], half_life=10).fit(Logs(*renamed))
 
 
 def test_it_follows_scikit_learn(logs):

@@ -183,8 +183,12 @@ def test_what_cannot_be_asked_is_refused(logs):
     for wrong, words in (({"num_replicates": "3"}, "num_replicates is '3'"), ({"random_state": "x"}, "it is a seed")):
         with refused_type(words):
             bootstrap(learner, logs, **wrong)
-    with pytest.raises(ArgumentError, match="the log has 10 trajectories, but the learner was fitted to 60"):
-        bootstrap(learner, logs.select(range(10)))
+    turned = Logs(logs.stages.assign(action=logs.stages["action"].replace({"A": "B", "B": "A"})), logs.trajectories)
+    for another in (logs.select(range(10)), turned):
+        with pytest.raises(ArgumentError, match="is not that of 60 which the learner was fitted to"):
+            bootstrap(learner, another)
+    with refused_type("workers is 4; give Workers of halfseen.workers, such as Workers"):
+        bootstrap(learner, logs, workers=4)
     with pytest.raises(ArgumentError, match="stage is 3; give a whole number, 1 to the horizon, 2"):
         bootstrap(learner, logs, num_replicates=2).decision_shares(pd.DataFrame([indicators(1, 0)]), 3)
     with pytest.raises(ArgumentError, match=r"level is 1\.0"):

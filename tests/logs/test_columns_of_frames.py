@@ -52,6 +52,13 @@ def test_nan_in_arrow_is_missing():
     assert logs.stages[["x", "x_missing"]].to_numpy().tolist() == [[2.0, 1.0], [2.0, 1.0], [2.0, 0.0]]
 
 
+@pytest.mark.parametrize("nothing", [in_arrow([None, None]), [np.nan] * 2, pd.Series([pd.NaT] * 2)])
+def test_names_that_are_all_null_are_null_whatever_their_type(nothing):
+    tables = log_of(trajectory=range(2)).tables
+    logs = Logs(tables["stages"].assign(object=nothing), tables["trajectories"].assign(cause=nothing))
+    assert logs.stages["object"].tolist() == logs.trajectories["cause"].tolist() == [None, None]
+
+
 @pytest.mark.parametrize("column", ["action", "trajectory", "object", "x"])
 @pytest.mark.parametrize("kind", [object, "category", "string"])
 def test_text_with_nul_is_refused(column, kind):

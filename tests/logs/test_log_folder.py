@@ -1,6 +1,7 @@
 """Logs in a folder, on disk or in an object store: whole or not at all, and what is not given is told in one line."""
 
 import os
+from functools import partial
 from pathlib import Path
 
 import fsspec
@@ -12,7 +13,7 @@ from halfseen.cli.convert import convert
 from halfseen.cli.learn import learn
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning import CensoredQLearner
-from halfseen.logs import Logs, LogStream, compact, read_logs
+from halfseen.logs import LogRecorder, Logs, LogStream, compact, read_logs, write_stream
 from halfseen.policies.folder import read_policy
 from refusals import refused, refused_type
 from small_logs import flat_log, table_log
@@ -161,9 +162,18 @@ def test_what_a_store_refuses_is_told(error, store, monkeypatch):
 
 @pytest.mark.parametrize("place", [3, None, flat_log()])
 def test_what_is_no_path_is_refused(place):
-    for read in (read_logs, LogStream, read_policy):
+    for use in (read_logs, LogStream, read_policy, flat_log().write, partial(write_stream, [flat_log()]), LogRecorder):
         with refused_type(f"folder is a {type(place).__name__}; give the path of a folder"):
-            read(place)
+            use(place)
+
+
+def test_an_address_in_a_store_becomes_no_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for write in (flat_log().write, partial(write_stream, [flat_log()]), LogRecorder):
+        for address in ("s3://bucket/logs", Path("s3://bucket/logs")):
+            with refused(f"{address}: it is an address, and only logs are read from stores; give a folder"):
+                write(address)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("name", ["e.csv", "e.jsonl.gz", "e.ndjson.gz"])

@@ -8,7 +8,7 @@ import pytest
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogStream, read_logs, write_stream
 from halfseen.logs.stream import ShardReader, logs_of
-from refusals import refused
+from refusals import refused, refused_type
 from small_logs import log_of
 
 
@@ -128,6 +128,10 @@ def test_nothing_is_left_of_what_went_wrong(tmp_path, parts, told):
 
 
 def test_a_stream_of_no_folder_or_of_no_parts_is_refused(folder, tmp_path):
+    with refused_type("parts is a Logs; give a list of Logs"):
+        write_stream(two_stages(range(10)), tmp_path / "whole")
+    with refused_type("trajectories_at_once is 2.5; read at least 1"):
+        LogStream(folder, 2.5)
     with refused("trajectories_at_once is 0", ArgumentError):
         LogStream(folder, 0)
     for read in (read_logs, LogStream):

@@ -130,6 +130,11 @@ def test_does_not_touch_what_it_is_given():
 def test_what_is_not_there_is_refused(logs):
     with refused("trajectory 7: the log has no such trajectory", LogError):
         logs.select([1, 7])
+    with refused("trajectory 1: it is named twice, and a log holds it once", LogError):
+        logs.select(np.random.default_rng(0).choice([1, 1], 3))
+    for name in (1, "1", None):
+        with refused("select takes names of trajectories, not .*; give a list of them", LogError):
+            logs.select(name)
     with refused(r"'rewards' among .*; rename 'reward'\?", LogError):
         logs.stage_values("rewards")
     with refused("'action' holds no numbers", LogError):

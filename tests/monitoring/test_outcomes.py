@@ -7,7 +7,9 @@ import pytest
 
 from halfseen.censoring import KaplanMeier, StageClocks
 from halfseen.errors import ArgumentError
+from halfseen.monitoring import changes_in, monitored
 from halfseen.monitoring.outcomes import FEWEST, MOST_BET, BettingBounds, CensoredOutcomes
+from refusals import refused_type
 
 
 def ends_as_clocks(end_s, is_finished):
@@ -150,6 +152,28 @@ def test_what_lies_outside_is_refused():
         BettingBounds(1.0, 0.0)
     with pytest.raises(ArgumentError, match="alpha is 0"):
         BettingBounds(0.0, 1.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("asks", "told"),
+    [
+        (lambda: BettingBounds("0", 1.0), "low is '0' and high 1.0; give two finite numbers"),
+        (lambda: BettingBounds(0.0, 1.0, "5 %"), "alpha is '5 %'; give a number between 0 and 1"),
+        (lambda: BettingBounds(0.0, 1.0, num_points=1), "num_points is 1; give a whole number of at least 2"),
+        (lambda: BettingBounds(0.0, 1.0).add(np.ma.masked_array([0.1, 0.2], [False, True])), "values, row 1: masked"),
+        (
+            lambda: CensoredOutcomes(0.0, 1.0).add(StageClocks.of_ends(np.ones(3), np.ones(3, bool)), [1.0]),
+            "totals has 1 rows for 3 trajectories; give one each",
+        ),
+        (lambda: CensoredOutcomes(0.0, 1.0, "cox"), "censoring is 'cox'; give CensoringSpec"),
+        (lambda: CensoredOutcomes(0.0, np.inf), "low is 0.0 and high inf; give two finite numbers"),
+        (lambda: monitored("folder", None), "stored is a str; give a StoredPolicy, as read_policy returns"),
+        (lambda: changes_in("logs"), "logs is a str; give Logs, as read_logs returns"),
+    ],
+)
+def test_what_is_no_number_no_policy_and_no_log_is_refused_in_a_line(asks, told):
+    with refused_type(told):
+        asks()
 
 
 @pytest.mark.slow

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from halfseen.errors import ArgumentError
 from halfseen.monitoring import comparison, dealing
 from halfseen.monitoring.comparison import (
     NOTHING,
@@ -44,6 +45,21 @@ def drawn(num, rng, chance=0.5, gain=0.0, cut=0.0, noise=1.0, num_stages=3):
         reward,
         clock_s,
     )
+
+
+@pytest.mark.parametrize(
+    ("asks", "told"),
+    [
+        (lambda dealt: Terms(share=0.9), r"share is 0\.9; give a probability above 0 and at most 0\.5"),
+        (lambda dealt: Terms(most_loss=-1.0), r"most_loss is -1\.0; give a total reward above 0"),
+        (lambda dealt: dealt._replace(trajectory=dealt.trajectory[::-1]), "trajectory: the stages are not sorted"),
+        (lambda dealt: dealt._replace(trajectory=dealt.trajectory + 1), "trajectory: the stages are not sorted"),
+        (lambda dealt: dealt._replace(chance=dealt.chance + 1.0), "chance: a trajectory was dealt with no probability"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(asks, told):
+    with pytest.raises(ArgumentError, match=told):
+        standing(asks(drawn(20, np.random.default_rng(1))), Terms())
 
 
 def survival_of(ends, finished, at):

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from halfseen.errors import ArgumentError, LogError, OutOfRangeError, PolicyError
+from halfseen.errors import ArgumentError, OutOfRangeError, PolicyError
 from halfseen.learning import DiscretePolicy
 from halfseen.planners import GreedyPolicy, POMDPPolicy
 from halfseen.policies import Decider, NamedObservation, decider_of
@@ -20,6 +20,7 @@ from halfseen.tables.features import NUM_FEATURES, table_features
 from halfseen.tables.present import first_state
 from halfseen.world import Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.actions import ActionSpace, Verb
+from refusals import refused_type
 
 CONFIG = WorldConfig(horizon=4)
 NOW = first_state(Scene(np.array([[0.0, 0.6], [0.0, 0.0]])), horizon=4, dirty_share=0.6)
@@ -41,8 +42,11 @@ TABLES = {
 }
 
 
+OF_COLOURS = replace(FLAT, categories={"x": ("blue", "red")})
+
+
 def seen(x, stage=1):
-    return NamedObservation(pd.DataFrame({"x": [x]}), stage)
+    return NamedObservation(pd.DataFrame({"x": np.atleast_1d(x)}), stage)
 
 
 @pytest.mark.parametrize("name", TABLES)
@@ -75,13 +79,39 @@ def test_named_actions_answer_through_the_same_door():
     ("ask", "error", "message"),
     [
         (lambda: decider_of(object()), ArgumentError, "is not a policy"),
-        (lambda: decider_of(FLAT).decide(seen(np.nan)), LogError, "finite"),
+        (lambda: decider_of(FLAT).decide(seen(np.nan)), PolicyError, "the state: covariate 'x' is null; fill it in"),
+        (lambda: decider_of(FLAT).decide(seen([0.5, 2.0])), PolicyError, "the state: 2 rows; give a frame of one row"),
+        *(
+            (lambda x=x: decider_of(FLAT).decide(NamedObservation({"x": x}, 1)), PolicyError, f"the state: .*{told}")
+            for x, told in ((np.nan, "null"), (np.inf, "finite"), ("0.5", "not numeric"), (None, "null"))
+        ),
+        (lambda: decider_of(FLAT).decide(NamedObservation({"y": 1.0}, 1)), PolicyError, "but 'x' is missing"),
+        (lambda: decider_of(OF_COLOURS).decide(NamedObservation({"x": "green"}, 1)), PolicyError, "'green', which the"),
         (lambda: decider_of(FLAT).decide(seen(0.0, 3)), ArgumentError, "stage is 3"),
     ],
 )
 def test_what_is_no_policy_or_no_observation_is_refused(ask, error, message):
     with pytest.raises(error, match=message):
         ask()
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"coefficients": FLAT.coefficients[:1]}, "a row for each stage and each of the 2 actions"),
+        ({"actions": ("A", "B", "C")}, "a row for each stage and each of the 3 actions"),
+        ({"coefficients": np.nan * FLAT.coefficients}, "a coefficient is not finite"),
+        ({"is_possible": FLAT.is_possible & [[True], [False]]}, "a stage has no possible action"),
+    ],
+)
+def test_a_policy_of_other_stages_or_of_nan_is_refused(changed, told):
+    with refused_type(told):
+        replace(FLAT, **changed)
+
+
+def test_a_state_is_no_observation():
+    with refused_type("observation is a dict; give NamedObservation"):
+        decider_of(FLAT).decide({"x": 0.5})
 
 
 def test_what_is_not_possible_has_no_value():

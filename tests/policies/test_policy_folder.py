@@ -29,6 +29,7 @@ from halfseen.world import Robots, Scene, TableState, Verb, Workspace
 from halfseen.world.actions import VERB_NAMES
 from halfseen.world.logs import states_of
 from picked import leaves_of
+from refusals import refused_type
 
 HIDES = np.array([[0.0, 0.3, 0.9], [0.0, 0.0, 0.0], [0.2, 0.1, 0.0]])
 
@@ -92,6 +93,18 @@ def test_a_policy_of_a_team_comes_back_with_what_it_improves_upon_and_decides_fo
         np.testing.assert_array_equal(decisions(one, states), decisions(other, states))
     with pytest.raises(PolicyError, match=r"the policy decides for a team of 2 robots, and needs to know what each"):
         decider_of(again)
+
+
+def test_the_log_of_another_learner_is_refused_and_nothing_is_written(logs, fitted, tmp_path):
+    part = logs["flat"].select(logs["flat"].trajectory_ids[:-1])
+    for learner, log, told in (
+        (fitted["flat"], part, "give it the log that it was fitted to"),
+        (fitted["flat"], "logs", "logs is a str; give Logs"),
+        (fitted["flat"].policy_, logs["flat"], "a DiscretePolicy is no learner; give one that was fitted"),
+    ):
+        with refused_type(told):
+            write_policy(learner, log, tmp_path / "policy")
+    assert not (tmp_path / "policy").exists()
 
 
 def through_a_folder(policy):

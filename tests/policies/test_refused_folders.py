@@ -276,9 +276,10 @@ def test_what_no_folder_can_hold_is_refused(logs, fitted, tmp_path):
 
     with pytest.raises(ArgumentError, match="grasp is a Mine"):
         write("tables", grasp=Mine())
-    for factor in (np.nan, 1e38):
-        with pytest.raises(PolicyError, match=r"it must be finite and at most 1e\+30"):
-            write("flat", coefficients=fitted["flat"].policy_.coefficients * factor)
+    with pytest.raises(PolicyError, match=r"it must be finite and at most 1e\+30"):
+        write("flat", coefficients=fitted["flat"].policy_.coefficients * 1e38)
+    with pytest.raises(PolicyError, match=r"it must be finite and at most 1e\+30"):
+        write("tables", coefficients=fitted["tables"].policy_.coefficients * np.nan)
     with pytest.raises(ArgumentError, match="base is a UniformPolicy, whose code a folder cannot hold"):
         write("team", base=UniformPolicy())
     with pytest.raises(ArgumentError, match="num_robots is None; learn with"):

@@ -239,3 +239,5 @@ def test_one_state_is_decided_as_many_are(tmp_path):
         rule.action({"colour": "blue"}, 1)
     with pytest.raises(ArgumentError, match="asks for colour = red, but colour is 1"):
         rule.action({"colour": 1}, 2)
+    with pytest.raises(ArgumentError, match=r"asks for x > 0\.5, but x is nan"):
+        rule.action({"x": np.nan, "colour": "blue"}, 1)

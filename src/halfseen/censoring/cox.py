@@ -203,7 +203,7 @@ class Cox(Estimator):
             so well that its coefficient is infinite.
         """
         self._check_parameters()
-        refuse_other_order(time=time, is_finished=is_finished, covariates=covariates)
+        refuse_other_order(time=time, covariates=covariates)
         ends, finished = checked_ends(time, is_finished)
         values, names = checked_covariates(covariates, len(ends), "Cox")
         ends, self.tolerance_s_ = tied(ends)

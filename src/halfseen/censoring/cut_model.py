@@ -21,10 +21,11 @@ import pandas as pd
 
 from halfseen.censoring.clocks import StageClocks
 from halfseen.censoring.cox import Cox
-from halfseen.censoring.inputs import checked_truncation
+from halfseen.censoring.inputs import checked_truncation, varies
 from halfseen.censoring.model import CensoringModel, is_fitted, named_model, uses_covariates
 from halfseen.censoring.weights import stage_weights
 from halfseen.errors import ArgumentError, HalfseenError, PositivityError
+from halfseen.estimator import check_names
 from halfseen.shapes import Bool, Float, Int
 
 CensoringBy = Literal["trajectory", "stage", "pooled"]
@@ -157,8 +158,8 @@ class CensoringSpec:
         named_model(self.model)
         if self.by not in CENSORING_BY:
             raise ArgumentError(f"by is {self.by!r}; give {', '.join(map(repr, CENSORING_BY[:-1]))} or 'pooled'")
-        if isinstance(self.covariates, str):
-            raise ArgumentError(f"covariates is {self.covariates!r}; give a list of names")
+        if self.covariates is not None:
+            check_names("covariates", self.covariates)
         checked_truncation(self.truncate_at)
         if self.covariates is not None and not self.uses_covariates:
             raise ArgumentError(
@@ -225,8 +226,7 @@ def _fit(
     model = named_model(censoring)
     if not uses_covariates(model):
         return FittedRows(model.fit(watched_s, is_completed), np.arange(0))
-    differs = np.ptp(covariates, axis=0) > 0 if len(covariates) else np.zeros(len(names), dtype=bool)
-    columns = np.flatnonzero(differs)
+    columns = np.flatnonzero(varies(covariates)) if len(covariates) else np.arange(0)
     if not len(columns):
         raise ArgumentError(
             f"censoring uses covariates, and none of those of {where} differs between trajectories; choose "

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from halfseen.arrays import RowMask, Rows
+from halfseen.arrays import LEAST_RANGE, RowMask, Rows
 from halfseen.errors import ArgumentError
-from halfseen.shapes import Float, Int
+from halfseen.shapes import Bool, Float, Int
 
 
 def checked_ends(time: ArrayLike, is_finished: ArrayLike, name: str = "time") -> tuple[Rows, RowMask]:
@@ -28,6 +28,7 @@ def checked_ends(time: ArrayLike, is_finished: ArrayLike, name: str = "time") ->
     name
         Name of `time` in the caller's signature, for the message.
     """
+    refuse_other_order(**{name: time, "is_finished": is_finished})
     ends = checked_floats(time, name)
     finished = _checked_bools(is_finished, "is_finished")
     if len(ends) != len(finished):
@@ -48,13 +49,14 @@ def checked_ends(time: ArrayLike, is_finished: ArrayLike, name: str = "time") ->
 
 def checked_floats(values: ArrayLike, name: str, ndim: int = 1) -> np.ndarray:
     """`values` as float64 with `ndim` axes."""
-    floats = _floats(values, name)
+    floats = as_floats(values, name)
     if floats.ndim != ndim:
         raise ArgumentError(f"{name} has shape {floats.shape}; give {ndim} ax{'e' if ndim > 1 else 'i'}s")
     return floats
 
 
-def _floats(values: ArrayLike, name: str) -> np.ndarray:
+def as_floats(values: ArrayLike | float, name: str) -> np.ndarray:
+    """`values` as float64, of any shape."""
     _refuse_other_kinds(values, name)
     try:
         return np.asarray(values, dtype=np.float64)
@@ -78,7 +80,7 @@ def _refuse_other_kinds(values: Any, name: str) -> None:
 
 def checked_times(u: ArrayLike) -> Float[np.ndarray, "..."]:
     """Times of a query as float64; NaN is refused."""
-    times = _floats(u, "u")
+    times = as_floats(u, "u")
     if np.isnan(times).any():
         row = int(np.argmax(np.isnan(times.ravel())))
         raise ArgumentError(f"u, row {row}: nan is not a time; leave out the stages that were not completed")
@@ -143,7 +145,8 @@ def refuse_other_order(**given: Any) -> None:
         if len(labels) == len(first[1]) and not labels.equals(first[1]) and labels.isin(first[1]).all():
             row = int(np.argmax(np.asarray(labels != first[1])))
             raise ArgumentError(
-                f"{name}, row {row}: its label is {labels[row]!r}, but that of {first[0]} is {first[1][row]!r}; sort "
+                f"{name}, row {row}: its label is {labels.tolist()[row]!r}, but that of {first[0]} is "
+                f"{first[1].tolist()[row]!r}; sort "
                 f"both alike, as {name}.loc[{first[0]}.index] does, or drop labels that name no trajectory"
             )
 
@@ -225,9 +228,14 @@ def checked_question(
     return times, values
 
 
+def varies(covariates: Float[np.ndarray, "n p"]) -> Bool[np.ndarray, " p"]:
+    """Which covariates differ between rows by more than rounding."""
+    return np.ptp(covariates, axis=0) > LEAST_RANGE * np.abs(covariates).max(axis=0)
+
+
 def refuse_constant(covariates: Float[np.ndarray, "n p"], names: list[str]) -> None:
     """Refuse a covariate that is the same for all trajectories."""
-    constant = covariates.min(axis=0) == covariates.max(axis=0)
+    constant = ~varies(covariates)
     if constant.any():
         column = int(np.argmax(constant))
         raise ArgumentError(

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.clocks import tied
-from halfseen.censoring.inputs import checked_ends, checked_times, just_before, precision_of, refuse_other_order
+from halfseen.censoring.inputs import checked_ends, checked_times, just_before, precision_of
 from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator
 from halfseen.shapes import Float, Int
@@ -105,7 +105,6 @@ class KaplanMeier(Estimator):
             A time is not finite and positive, the lengths differ, or covariates were given.
         """
         _refuse_covariates(covariates)
-        refuse_other_order(time=time, is_finished=is_finished)
         ends, finished = checked_ends(time, is_finished)
         ends, self.tolerance_s_ = tied(ends)
         self._precision = precision_of(time)

@@ -34,7 +34,7 @@ from halfseen.censoring.inputs import (
 )
 from halfseen.censoring.kaplan_meier import CutOrder, cut_order
 from halfseen.errors import ArgumentError, PositivityError
-from halfseen.estimator import Estimator
+from halfseen.estimator import Estimator, check_generator, is_count
 from halfseen.shapes import Float
 
 # In standard deviations; at infinity the covariates have no effect.
@@ -267,7 +267,7 @@ class KernelKaplanMeier(Estimator):
             invalid.
         """
         self._check_parameters()
-        refuse_other_order(time=time, is_finished=is_finished, covariates=covariates)
+        refuse_other_order(time=time, covariates=covariates)
         ends, finished = checked_ends(time, is_finished)
         values, names = checked_covariates(covariates, len(ends), "KernelKaplanMeier")
         self._means, self._scales = values.mean(axis=0), np.ones(len(names))
@@ -333,7 +333,8 @@ class KernelKaplanMeier(Estimator):
             raise ArgumentError(
                 f"bandwidth is {self.bandwidth!r}; give a number of standard deviations > 0, or 'cv' to choose one"
             )
+        check_generator(self.random_state)
         if self.kernel not in KERNELS:
             raise ArgumentError(f"kernel is {self.kernel!r}; give 'gaussian' or 'epanechnikov'")
-        if self.bandwidth == "cv" and self.num_folds < 2:
-            raise ArgumentError(f"num_folds is {self.num_folds}; cross-validation needs at least 2")
+        if self.bandwidth == "cv" and not (is_count(self.num_folds) and self.num_folds >= 2):
+            raise ArgumentError(f"num_folds is {self.num_folds!r}; cross-validation needs at least 2")

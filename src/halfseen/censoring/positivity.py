@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from halfseen.arrays import Rows
-from halfseen.censoring.inputs import checked_ends, checked_floats, checked_truncation
+from halfseen.censoring.inputs import checked_ends, checked_floats, checked_truncation, refuse_other_order
 from halfseen.censoring.model import CensoringModel, fitted_model
 from halfseen.censoring.positivity_facts import PositivityFacts, Truncation, WeightedTrajectory, text, verdict
 from halfseen.censoring.weights import (
@@ -115,6 +115,7 @@ def positivity_report(
     >>> [(heavy.trajectory, round(heavy.weight, 6)) for heavy in report.heaviest]
     [(3, 2.0), (0, 1.0), (2, 1.0)]
     """
+    refuse_other_order(time=time, covariates=covariates, target=target)
     ends, finished = checked_ends(time, is_finished)
     names = trajectory_names(trajectory_ids, len(ends))
     bound = checked_truncation(truncate_at)

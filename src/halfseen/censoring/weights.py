@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from halfseen.arrays import Rows
 from halfseen.censoring.clocks import LARGEST_ROUNDING, tied_clocks
 from halfseen.censoring.inputs import (
+    as_floats,
     checked_ends,
     checked_floats,
     checked_truncation,
@@ -99,7 +100,7 @@ class WeightTally:
 
     def add(self, weights: ArrayLike) -> None:
         """Add the next rows."""
-        values = np.asarray(weights, dtype=np.float64)
+        values = as_floats(weights, "weights")
         wrong = np.argwhere(~((values >= 0) & np.isfinite(values)))
         if len(wrong):
             at = tuple(wrong[0].tolist())
@@ -197,7 +198,7 @@ def censoring_weights(
     ArgumentError
         A value is invalid; the message names the row.
     """
-    refuse_other_order(time=time, is_finished=is_finished, covariates=covariates)
+    refuse_other_order(time=time, covariates=covariates)
     ends, finished = checked_ends(time, is_finished)
     model = fitted_model(model, ends, finished, covariates)
     rows = np.flatnonzero(finished)
@@ -245,7 +246,7 @@ def stage_weights(
     ArgumentError
         A value is invalid; the message names the row and the stage.
     """
-    refuse_other_order(end_s=end_s, is_finished=is_finished, elapsed_s=elapsed_s, covariates=covariates)
+    refuse_other_order(end_s=end_s, elapsed_s=elapsed_s, covariates=covariates)
     ends, finished = checked_ends(end_s, is_finished, "end_s")
     clock = checked_floats(elapsed_s, "elapsed_s", ndim=2)
     names = trajectory_names(trajectory_ids, len(ends))

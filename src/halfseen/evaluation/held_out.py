@@ -40,12 +40,13 @@ from halfseen.evaluation.targets import LOGGING, CrossFitted
 from halfseen.evaluation.verdict import Verdict
 from halfseen.learning.discrete_policy import has_margin
 from halfseen.learning.q_learner import CensoredQLearner
+from halfseen.learning.q_model import checked_log
 from halfseen.learning.q_space import TabularQ
 from halfseen.learning.sample import latest
 from halfseen.logs import Logs
 from halfseen.policies.folder.specification import described
 from halfseen.shapes import Float, Int
-from halfseen.workers import ALONE, Pool, Workers
+from halfseen.workers import ALONE, Pool, Workers, checked_workers
 from halfseen.workers.threads import in_one_thread
 
 NUM_DRAWS = 20_000
@@ -240,8 +241,8 @@ def held_out_verdict(
             f"learner is a {type(learner).__name__}; give a CensoredQLearner that was fitted to the log"
         )
     check_fitted(learner, "policy_")
-    if not isinstance(logs, Logs):
-        raise ArgumentError(f"logs is a {type(logs).__name__}; give Logs, as read_logs returns")
+    checked_log(logs, Logs)
+    checked_workers(workers)
     if not is_count(num_folds) or num_folds < 2:
         raise ArgumentError(f"num_folds is {num_folds!r}; give a whole number of at least 2")
     check_level(level)

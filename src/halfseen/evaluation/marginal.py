@@ -41,9 +41,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from halfseen.arrays import LEAST_RANGE
 from halfseen.evaluation.weights import StageWeights, uncut_before
 from halfseen.learning.covariates import Categories, Covariates, fit_covariates, learned_categories
-from halfseen.learning.q_space import LEAST_RANGE
 from halfseen.learning.rows import TrajectoryArrays, stage_places
 from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float, Int

@@ -34,6 +34,7 @@ from halfseen.evaluation.targets import (
 from halfseen.evaluation.verdict import FEWEST_BY_STATES, FEWEST_TRAJECTORIES, why_unknown
 from halfseen.evaluation.weights import Propensity, jackknifed
 from halfseen.learning.judging import FittedValues
+from halfseen.learning.q_model import checked_log
 from halfseen.learning.targets import Targets, targets_of
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
@@ -45,7 +46,7 @@ from halfseen.logs.plausibility import (
     outcomes_among_covariates,
     untrue_probabilities,
 )
-from halfseen.workers import ALONE, Workers
+from halfseen.workers import ALONE, Workers, checked_workers
 from halfseen.workers.threads import in_one_thread
 
 PROBABILITIES, COVARIATES, ENDINGS, TRAJECTORIES = TRUST = ("probabilities", "covariates", "endings", "trajectories")
@@ -317,8 +318,8 @@ def judging(
     workers: Workers = ALONE,
 ) -> Iterator[Judge]:
     """Prepare a log for evaluating a policy, and others of the same task; parameters as in `evaluate`."""
-    if not isinstance(logs, Logs):
-        raise ArgumentError(f"logs is a {type(logs).__name__}; give Logs, as read_logs returns")
+    checked_log(logs, Logs)
+    checked_workers(workers)
     if not isinstance(q, QSpec | None):
         raise ArgumentError(f"q is {q!r}; give QSpec(q_function=…), or None for the default")
     check_level(level)

@@ -55,6 +55,10 @@ class QSpec:
     stages: StageMode | str | None = None
     reg: CrossValidation | float | int | Literal["cv"] | str = "cv"
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.task, Task | None):
+            raise ArgumentError(f"task is {self.task!r}; give a Task, or None for that of the policy (q_function=…)")
+
 
 def task_of(policy: Any, logs: Logs) -> Task:
     """Find the task of a policy.

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError, did_you_mean
+from halfseen.estimator import is_count
 from halfseen.evaluation.logging_rule import NAME as LOGGING_RULE_NAME
 from halfseen.learning.discrete_policy import NamedActionPolicy, checked_probabilities, more_cautious
 from halfseen.learning.named_task import NamedActions
@@ -50,7 +51,7 @@ class FixedSequence:
     sequence: Sequence[Hashable] | np.ndarray
 
     def __post_init__(self) -> None:
-        if isinstance(self.sequence, str) or len(self.sequence) == 0:
+        if isinstance(self.sequence, str) or not hasattr(self.sequence, "__len__") or len(self.sequence) == 0:
             raise ArgumentError(f"sequence is {self.sequence!r}; give a tuple of names, one for each stage")
 
     @property
@@ -65,8 +66,8 @@ class FixedSequence:
 
     def probabilities(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """1 for the action of that stage (from 1)."""
-        if not 1 <= stage <= self.horizon:
-            raise ArgumentError(f"stage is {stage}; it lies in 1 to the horizon, {self.horizon}")
+        if not (is_count(stage) and stage <= self.horizon):
+            raise ArgumentError(f"stage is {stage!r}; it lies in 1 to the horizon, {self.horizon}")
         is_taken = [name == self.sequence[stage - 1] for name in self.actions]
         return np.tile(np.array(is_taken, dtype=np.float64), (len(frame), 1))
 

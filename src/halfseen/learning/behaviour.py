@@ -19,8 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.arrays import library_of
-from halfseen.learning.q_space import LEAST_RANGE
+from halfseen.arrays import LEAST_RANGE, library_of
 from halfseen.shapes import Bool, Float, Int
 
 Thetas = Float[np.ndarray, "K p"]

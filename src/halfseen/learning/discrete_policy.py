@@ -118,6 +118,11 @@ class DiscretePolicy:
         Categories of the text covariates, as seen in the log.
     filling
         Values that replace missing covariates; None if null is refused.
+
+    Raises
+    ------
+    ArgumentError
+        The coefficients are not those of these stages and actions, or not finite; or a stage has no possible action.
     """
 
     actions: tuple[Hashable, ...]
@@ -130,6 +135,16 @@ class DiscretePolicy:
     behaviour_weight: float = 0.0
     categories: Categories = field(default_factory=dict)
     filling: Filling | None = None
+
+    def __post_init__(self) -> None:
+        shape, possible = np.shape(self.coefficients), np.asarray(self.is_possible)
+        if possible.shape != shape[-3:-1] or shape[-2] != len(self.actions):
+            raise ArgumentError(
+                f"coefficients have the shape {shape}, and is_possible {possible.shape}; give a row for each stage and "
+                f"each of the {len(self.actions)} actions"
+            )
+        if not (np.isfinite(self.coefficients).all() and possible.any(axis=1).all()):
+            raise ArgumentError("a coefficient is not finite, or a stage has no possible action; give each one")
 
     @property
     def looks_at(self) -> Covariates:

@@ -18,12 +18,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from halfseen.errors import warn
 from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import StageMode
 from halfseen.learning.recursion import QFunctions, fit_each_stage, fit_q
 from halfseen.learning.rows import TrajectoryArrays, Transitions, q_values
 from halfseen.learning.sample import FEWEST_TRAJECTORIES, recency_weights
 from halfseen.learning.sums import or_nothing
+from halfseen.logs.data_quality import text_order
 from halfseen.shapes import Float, Int
 from halfseen.workers.threads import one_thread
 
@@ -152,6 +154,8 @@ def with_half_life(
     model: QModel, trajectories: TrajectoryArrays, num_trajectories: int
 ) -> tuple[QModel, tuple[str, ...]]:
     """Choose a half-life on held-out later trajectories of a log, if requested; return the model and the reason."""
+    for trouble in text_order(trajectories.trajectory_ids if model.half_life else ()):
+        warn("half_life", trouble)
     if model.half_life != "auto":
         return model, ()
     plain = replace(model, half_life=None)

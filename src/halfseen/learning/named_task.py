@@ -1,7 +1,7 @@
 """The task of named actions: each action has its own coefficients on the same plain covariates of the stage."""
 
 from collections import Counter
-from collections.abc import Hashable, Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError, LogError, did_you_mean
+from halfseen.estimator import check_names, is_count
 from halfseen.learning.behaviour import seen_among
 from halfseen.learning.covariates import Categories, Covariates, learned_categories, unfit_covariates
 from halfseen.learning.discrete_policy import DiscretePolicy, NamedActionPolicy, checked_probabilities
@@ -57,10 +58,9 @@ class NamedActions:
     is_shared = True
 
     def __post_init__(self) -> None:
-        if isinstance(self.actions, str):
+        if isinstance(self.actions, str | Iterator) or not isinstance(self.actions, Iterable):
             raise ArgumentError(f"actions is {self.actions!r}; give a list of names, or one for each stage")
-        if isinstance(self.covariates, str) or not isinstance(self.covariates, Iterable):
-            raise ArgumentError(f"covariates is {self.covariates!r}; give a list of names")
+        check_names("covariates", self.covariates)
         twice = [name for name, count in Counter(self.covariates).items() if count > 1]
         if twice:
             raise ArgumentError(f"covariates names {twice[0]!r} twice; name it once")
@@ -71,6 +71,8 @@ class NamedActions:
             )
         lists = self.actions if isinstance(self.actions, Mapping) else {None: self.actions}
         for stage, names in lists.items():
+            if stage is not None and not is_count(stage):
+                raise ArgumentError(f"actions: stage {stage!r} does not exist; name the stages 1 to the horizon")
             if not all(isinstance(name, Hashable) for name in names):
                 raise ArgumentError(f"actions are {list(names)}; give a list of names, or one for each stage")
             if len(names) == 0 or len(set(names)) < len(names):
@@ -141,6 +143,7 @@ class NamedActions:
         ArgumentError
             One of them is not a covariate of Q.
         """
+        check_names("outcome_covariates", names)
         unknown = [name for name in names if name not in self.covariates]
         if unknown:
             known = ", ".join(self.covariates) + did_you_mean(unknown[0], self.covariates)

@@ -56,10 +56,11 @@ NUM_SUMS = 4
 """Matrices of sums for each fold and block (`sums.Moments`)."""
 
 
-def checked_log(logs: Any) -> Any:
-    """Refuse what is no log; return the log."""
-    if not isinstance(logs, Logs | LogStream):
-        raise ArgumentError(f"logs is a {type(logs).__name__}; give Logs, as read_logs returns, or a LogStream")
+def checked_log(logs: Any, kind: Any = Logs | LogStream) -> Any:
+    """Refuse what is no log of this kind; return the log."""
+    if not isinstance(logs, kind):
+        or_stream = "" if kind is Logs else ", or a LogStream"
+        raise ArgumentError(f"logs is a {type(logs).__name__}; give Logs, as read_logs returns{or_stream}")
     return logs
 
 

@@ -8,18 +8,15 @@ products, so k is the sum of two kernels, and Q is the sum of a quadratic and a 
 
 from dataclasses import dataclass
 from functools import cache, partial
-from numbers import Real
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from halfseen.arrays import library_of
+from halfseen.arrays import LEAST_RANGE, library_of
 from halfseen.errors import ArgumentError
+from halfseen.estimator import is_count, is_number
 from halfseen.learning.svm.nystrom import fit_nystrom
 from halfseen.shapes import Float
-
-LEAST_RANGE = 1e-12
-"""Relative to their mean; values that differ by less differ by rounding alone."""
 
 
 class KernelMap(NamedTuple):
@@ -124,10 +121,6 @@ KERNEL_REGS = np.logspace(-6, 1, 15)
 StageMode = Literal["separate", "pooled"]
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool) and bool(np.isfinite(float(value)))
-
-
 @dataclass(frozen=True)
 class LinearQ:
     """Q is linear in its features; λ penalises them as if each had unit variance."""
@@ -192,11 +185,13 @@ class KernelQ:
     is_scaled = False
 
     def __post_init__(self) -> None:
-        if self.num_landmarks < 1:
-            raise ArgumentError(f"num_landmarks is {self.num_landmarks}; a kernel needs at least 1")
-        if self.gamma is not None and not (_is_number(self.gamma) and self.gamma > 0):
+        if not is_count(self.num_landmarks):
+            raise ArgumentError(f"num_landmarks is {self.num_landmarks!r}; a kernel needs at least 1")
+        if self.gamma is not None and not (is_number(self.gamma) and self.gamma > 0):
             raise ArgumentError(f"gamma is {self.gamma!r}; give a finite number > 0, or None for 1/F")
-        if self.trend is not None and not (len(self.trend) == 2 and all(_is_number(c) and c > 0 for c in self.trend)):
+        if self.trend is not None and not (
+            np.size(self.trend) == 2 and all(is_number(c) and c > 0 for c in self.trend)
+        ):
             raise ArgumentError(f"trend is {self.trend!r}; give two finite numbers > 0, or None for no trend")
 
     @property
@@ -243,8 +238,8 @@ class CrossValidation:
     num_folds: int = 5
 
     def __post_init__(self) -> None:
-        if self.num_folds < 2:
-            raise ArgumentError(f"num_folds is {self.num_folds}; cross-validation needs at least 2")
+        if not is_count(self.num_folds) or self.num_folds < 2:
+            raise ArgumentError(f"num_folds is {self.num_folds!r}; cross-validation needs at least 2")
 
 
 Reg = CrossValidation | float
@@ -276,14 +271,14 @@ def reg_of(reg: Reg | int | Literal["cv"] | str) -> Reg:
         return reg
     if isinstance(reg, str) and reg == "cv":
         return CrossValidation()
-    if not (_is_number(reg) and float(reg) >= 0.0):
+    if not (is_number(reg) and float(reg) >= 0.0):
         raise ArgumentError(f"reg is {reg!r}; give a λ ≥ 0, or 'cv'")
     return float(reg)
 
 
 def pessimism_of(pessimism: float | int | str) -> float:
     """Parse a user's pessimism; refuse an invalid one."""
-    if not (_is_number(pessimism) and float(pessimism) >= 0.0):
+    if not (is_number(pessimism) and float(pessimism) >= 0.0):
         raise ArgumentError(f"pessimism is {pessimism!r}; give a number of standard errors ≥ 0, or 'auto'")
     return float(pessimism)
 
@@ -292,6 +287,6 @@ def half_life_of(value: float | int | str | None) -> float | str | None:
     """Parse a user's half-life [trajectories]; refuse an invalid one."""
     if value is None or value == "auto":
         return value
-    if not (_is_number(value) and float(value) > 0.0):
+    if not (is_number(value) and float(value) > 0.0):
         raise ArgumentError(f"half_life is {value!r}; give a number of trajectories above 0, 'auto' or None")
     return float(value)

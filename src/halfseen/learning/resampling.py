@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError
-from halfseen.estimator import check_seed, is_count
+from halfseen.estimator import check_seed, is_count, is_number
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.q_model import QModel, checked_log
@@ -24,7 +24,7 @@ from halfseen.learning.rows import TrajectoryArrays, Transitions
 from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, telling
 from halfseen.shapes import Float, Int
-from halfseen.workers import ALONE, Workers
+from halfseen.workers import ALONE, Workers, checked_workers
 from halfseen.workers.threads import in_one_thread
 
 BATCH_SIZE = 10
@@ -56,8 +56,8 @@ class QBootstrap:
         ArgumentError
             `level` is not between 0 and 1, or the policy is not one of named actions.
         """
-        if not 0.0 < level < 1.0:
-            raise ArgumentError(f"level is {level}; give a level between 0 and 1")
+        if not (is_number(level) and 0.0 < level < 1.0):
+            raise ArgumentError(f"level is {level!r}; give a level between 0 and 1")
         draws = self._draws(frame, stage)
         low, high = np.quantile(draws, [(1.0 - level) / 2.0, (1.0 + level) / 2.0], axis=0)
         return low, high
@@ -115,19 +115,21 @@ def bootstrap(
     ArgumentError
         The learner was not fitted to this log, or `num_replicates` is below 2.
     """
-    checked_log(logs)
+    checked_log(logs, Logs)
     check_seed(random_state)
+    checked_workers(workers)
     if not is_count(num_replicates) or num_replicates < 2:
         raise ArgumentError(f"num_replicates is {num_replicates!r}; give a whole number of at least 2")
     if not hasattr(learner, "policy_"):
         raise ArgumentError("the learner has no policy_; fit it to this log first")
-    if learner.weights_.shape[0] != logs.num_trajectories:
-        raise ArgumentError(
-            f"the log has {logs.num_trajectories} trajectories, but the learner was fitted to "
-            f"{learner.weights_.shape[0]}; give it the log that it was fitted to"
-        )
     model = learner.model_
     trajectories = model.lay_out(logs)
+    is_same = all(map(np.array_equal, model.support_in(trajectories), model.support or ()))
+    if learner.weights_.shape[0] != logs.num_trajectories or not is_same:
+        raise ArgumentError(
+            f"the log of {logs.num_trajectories} trajectories is not that of {learner.weights_.shape[0]} which the "
+            "learner was fitted to, or its actions differ; give it the log that it was fitted to"
+        )
     share = np.full(trajectories.num_trajectories, 1.0 / trajectories.num_trajectories)
     counts = np.random.default_rng(random_state).multinomial(trajectories.num_trajectories, share, size=num_replicates)
     batches = [counts[start : start + BATCH_SIZE] for start in range(0, num_replicates, BATCH_SIZE)]

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from halfseen.arrays import library_of, mapped
+from halfseen.arrays import LEAST_RANGE, library_of, mapped
 from halfseen.censoring import StageClocks
 from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.lazy import Frame
-from halfseen.learning.q_space import LEAST_RANGE, StageMode
+from halfseen.learning.q_space import StageMode
 from halfseen.learning.task import Encoded
 from halfseen.logs.checks import LARGEST
 from halfseen.shapes import Bool, Float, Int
@@ -251,7 +251,7 @@ def refuse_all_cut(is_finished: Bool[np.ndarray, " n"]) -> None:
 
 
 LEAST_SPREAD = 3e-7
-"""Smallest standard deviation of rewards relative to the largest: sums of squares keep about three digits of it."""
+"""Smallest standard deviation of rewards relative to their mean: sums of squares keep about three digits of it."""
 
 
 def refuse_vanishing(reward: Float[np.ndarray, " m"]) -> None:
@@ -261,10 +261,9 @@ def refuse_vanishing(reward: Float[np.ndarray, " m"]) -> None:
         raise LogError(
             f"the largest reward is {largest:g}, whose fourth power underflows to 0; give rewards in another unit"
         )
-    spread = float(np.std(reward)) if len(reward) else 0.0
-    if 0.0 < spread < LEAST_SPREAD * largest:
+    if is_far(reward, 1.0 / LEAST_SPREAD):
         raise LogError(
-            f"rewards are about {np.mean(reward):.3g} and differ by {spread:.2g}, which rounding would erase; "
+            f"rewards are about {np.mean(reward):.3g} and differ by {np.std(reward):.2g}, which rounding would erase; "
             "subtract their common part"
         )
 

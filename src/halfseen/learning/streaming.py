@@ -44,7 +44,7 @@ from halfseen.logs.folder import Folder, LogPart, Shard
 from halfseen.logs.stream import ShardReader, Tables, logs_of
 from halfseen.progress import Progress
 from halfseen.shapes import Float, Int
-from halfseen.workers import ALONE, Pool, Workers
+from halfseen.workers import ALONE, Pool, Workers, checked_workers
 from halfseen.workers.threads import one_thread
 
 MOST_SHARE = 0.5
@@ -69,8 +69,9 @@ def learned_from(logs: Logs | LogStream, model: QModel, has_choice: bool, worker
 
     With `has_choice`, the log decides whether stages are pooled (`judging`).
     """
+    workers = checked_workers(ALONE if workers is None else workers)
     if isinstance(logs, LogStream):
-        return _streaming(logs, model, has_choice, workers or ALONE)
+        return _streaming(logs, model, has_choice, workers)
     model, trajectories = model.fitted(logs)
     model, chosen = _with_choices(model, model.sample_of(trajectories), has_choice, logs.num_trajectories)
     log = model.recent(model.transitions(trajectories))

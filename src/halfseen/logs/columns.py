@@ -97,6 +97,21 @@ def converting(folder: Any) -> str:
 # Names of columns.
 
 
+def chosen_names(given: Any, known: np.ndarray) -> pd.Index:
+    """Names of some trajectories; refuse a mask, unknown names, and names that are given twice."""
+    if isinstance(given, str) or not isinstance(given, Iterable):
+        raise LogError(f"select takes names of trajectories, not {shown(given)}; give a list of them")
+    wanted = pd.Index(given)
+    if pd.api.types.is_bool_dtype(wanted.dtype):
+        raise LogError("select takes names of trajectories, not a mask; give trajectory_ids[mask]")
+    unknown, again = wanted[~wanted.isin(known)], wanted[wanted.duplicated()]
+    if len(unknown):
+        raise LogError(f"trajectory {shown(unknown[0])}: the log has no such trajectory; see trajectory_ids")
+    if len(again):
+        raise LogError(f"trajectory {shown(again[0])}: it is named twice, and a log holds it once; name it once")
+    return wanted
+
+
 def is_own_reward(column: str) -> bool:
     """Whether a column of stages is the reward of one robot of several, such as 0_reward."""
     return re.fullmatch(r"\d+_reward", column) is not None
@@ -191,10 +206,12 @@ def as_labels(name: str, frame: pd.DataFrame, column: str, *, is_null_allowed: b
     is_null = values.isna().to_numpy()
     if is_null.any() and not is_null_allowed:
         raise LogError(f"{name}, row {int(np.argmax(is_null))}: {column} is null; every row needs its {column}")
+    if is_null.all():
+        return pd.Series(None, index=frame.index, dtype=object)
     kind = pd.api.types.infer_dtype(values, skipna=True)
-    if kind not in {"integer", "string", "floating", "empty"}:
+    if kind not in {"integer", "string", "floating"}:
         raise LogError(f"{name}: column {column!r} holds {kind}, not names; give whole numbers or text")
-    if not pd.api.types.is_float_dtype(values.dtype) or is_null.all():
+    if not pd.api.types.is_float_dtype(values.dtype):
         return values
     numbers = values.to_numpy(dtype=np.float64, na_value=np.nan)
     if (row := first_true(~is_null & ~_is_whole(numbers))) is not None:

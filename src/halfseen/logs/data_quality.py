@@ -110,9 +110,9 @@ def _running_clocks(logs: Logs) -> Iterator[str]:
         )
 
 
-def text_order(logs: Logs) -> Iterator[str]:
+def text_order(trajectory_ids: Iterable[Any]) -> Iterator[str]:
     """Find names of trajectories that contain numbers but are sorted as text."""
-    names = [name for name in logs.trajectory_ids if isinstance(name, str)]
+    names = [name for name in trajectory_ids if isinstance(name, str)]
     for one, other in pairwise(names):
         if as_counted(one) > as_counted(other):
             yield (
@@ -239,7 +239,7 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "leak": leaks,
     "outcome-as-covariate": partial(outcomes_among_covariates, untested=MOST_EXPLAINED),
     "cut-called-finished": cuts_called_finished,
-    "text-order": text_order,
+    "text-order": lambda logs: text_order(logs.trajectory_ids),
     "identifier": _identifiers,
     "number-as-text": numbers_as_text,
     "missing-as-text": missing_as_text,

@@ -24,7 +24,7 @@ from halfseen.logs.parquet import MANIFEST, write_manifest
 from halfseen.logs.recorded import STILL_RUNNING
 from halfseen.logs.stream import TRAJECTORIES_AT_ONCE, read_logs
 from halfseen.reading import reason_of
-from halfseen.writing import placed, refuse_taken
+from halfseen.writing import path_of, placed, refuse_taken
 
 
 def joined(parts: Sequence[Logs]) -> Logs:
@@ -85,7 +85,9 @@ def write_stream(
         A trajectory comes before one of an earlier part, a part has objects or columns that earlier ones lack, or
         rewards are in two units.
     """
-    with placed(Path(folder), overwrite=overwrite, marker=MANIFEST) as fresh, ExitStack() as stack:
+    if not isinstance(parts, Iterable):
+        raise ArgumentError(f"parts is a {type(parts).__name__}; give a list of Logs")
+    with placed(path_of(folder), overwrite=overwrite, marker=MANIFEST) as fresh, ExitStack() as stack:
         writers: dict[str, pq.ParquetWriter] = {}
         rows: dict[str, int] = {}
         unit: str | None = None

@@ -16,14 +16,15 @@ from halfseen.logs.checks import checked_unit
 from halfseen.logs.columns import (
     FINISHED,
     TRAJECTORY_COLUMNS,
+    chosen_names,
     is_stage_covariate,
     require_columns,
-    shown,
 )
 from halfseen.logs.frames import FrameLike, as_frame, through_arrow
 from halfseen.logs.missing import KEEP, Filling, Missing
 from halfseen.logs.parquet import TABLES, write_tables
 from halfseen.shapes import Float
+from halfseen.writing import path_of
 
 
 @dataclass(frozen=True)
@@ -269,14 +270,9 @@ class Logs:
         Raises
         ------
         LogError
-            A name is unknown, no name is given, or it is a mask.
+            A name is unknown or given twice, no name is given, or it is a mask.
         """
-        wanted = pd.Index(trajectories)
-        if pd.api.types.is_bool_dtype(wanted.dtype):
-            raise LogError("select takes names of trajectories, not a mask; give trajectory_ids[mask]")
-        unknown = wanted[~wanted.isin(self.trajectory_ids)]
-        if len(unknown):
-            raise LogError(f"trajectory {shown(unknown[0])}: the log has no such trajectory; see trajectory_ids")
+        wanted = chosen_names(trajectories, self.trajectory_ids)
         kept: Any = {name: table[pd.Index(table["trajectory"]).isin(wanted)] for name, table in self.tables.items()}
         return Logs(**kept, reward_unit=self.reward_unit, missing=self.missing)
 
@@ -299,9 +295,9 @@ class Logs:
         Raises
         ------
         ArgumentError
-            The folder exists, or cannot be written.
+            It is no folder of this machine, exists, or cannot be written.
         """
-        write_tables(Path(folder), self.tables, overwrite=overwrite, reward_unit=self.reward_unit)
+        write_tables(path_of(folder), self.tables, overwrite=overwrite, reward_unit=self.reward_unit)
 
 
 class SummaryTally:

@@ -39,6 +39,7 @@ from halfseen.logs.parquet import MANIFEST
 from halfseen.logs.recorded import CRASH, RESUMED
 from halfseen.logs.recording_state import RecordingState, TrajectoryState
 from halfseen.logs.trajectory_recorder import TrajectoryRecorder
+from halfseen.writing import path_of
 
 
 class LogRecorder:
@@ -101,7 +102,7 @@ class LogRecorder:
         part_bytes: int = PART_BYTES,
         keeps_events: bool = False,
     ) -> None:
-        folder, unit = Path(folder), checked_unit(reward_unit)
+        folder, unit = path_of(folder), checked_unit(reward_unit)
         if (folder / MANIFEST).exists():
             raise ArgumentError(f"{folder}: it holds finished logs; record into another folder")
         if not isinstance(part_bytes, int) or part_bytes < 1:

@@ -11,6 +11,7 @@ import pyarrow.compute
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import ArgumentError, LogError, within
+from halfseen.estimator import is_count
 from halfseen.logs.checked_tables import checked_trajectories
 from halfseen.logs.columns import FINISHED, NEEDED, as_counts, is_stage_covariate, require_columns, shown
 from halfseen.logs.folder import (
@@ -141,8 +142,8 @@ class LogStream:
     def __init__(
         self, folder: str | Place, trajectories_at_once: int = TRAJECTORIES_AT_ONCE, *, missing: Missing = None
     ) -> None:
-        if trajectories_at_once < 1:
-            raise ArgumentError(f"trajectories_at_once is {trajectories_at_once}; read at least 1")
+        if not is_count(trajectories_at_once):
+            raise ArgumentError(f"trajectories_at_once is {trajectories_at_once!r}; read at least 1")
         self.folder = place_of(folder)
         self.trajectories_at_once = trajectories_at_once
         self.as_folder = read_manifest(self.folder)

@@ -195,7 +195,8 @@ def of_names(logs: Logs, since: int | None) -> tuple[str, ...]:
     since
         Number of the first after a change, from 1; None without a change.
     """
-    notes, names = tuple(text_order(logs)), logs.trajectory_ids
+    names = logs.trajectory_ids
+    notes = tuple(text_order(names))
     if since is None or str(names[since - 1]) == str(since):
         return notes
     name = shown(names[since - 1])

@@ -12,6 +12,8 @@ from typing import Literal
 
 import numpy as np
 
+from halfseen.errors import ArgumentError
+from halfseen.estimator import is_number
 from halfseen.monitoring.comparison import NOISE, ComparisonCache, CountedTrajectories, Courses, bound, counted
 from halfseen.wording import counted as counted_in_words
 
@@ -38,10 +40,21 @@ class Terms:
     most_loss
         Largest total loss of the policy against the rule, exceeded with probability at most 0.05 [reward]; None for no
         bound, so that only harm stops the policy.
+
+    Raises
+    ------
+    ArgumentError
+        A number is out of range.
     """
 
     share: float = 0.2
     most_loss: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (is_number(self.share) and 0.0 < self.share <= LARGEST_SHARE):
+            raise ArgumentError(f"share is {self.share!r}; give a probability above 0 and at most {LARGEST_SHARE}")
+        if self.most_loss is not None and not (is_number(self.most_loss) and self.most_loss > 0.0):
+            raise ArgumentError(f"most_loss is {self.most_loss!r}; give a total reward above 0, or None for no bound")
 
 
 @dataclass(frozen=True)
@@ -115,7 +128,16 @@ def standing(
         Their contributions, if already computed.
     kept
         Cache from earlier trajectories.
+
+    Raises
+    ------
+    ArgumentError
+        The stages are not sorted by trajectory, or a chance is no probability.
     """
+    if not (np.diff(courses.trajectory, prepend=0, append=max(courses.num - 1, 0)) >= 0).all():
+        raise ArgumentError("trajectory: the stages are not sorted by trajectory, numbered from 0; sort them")
+    if not ((courses.chance >= 0.0) & (courses.chance <= 1.0)).all():
+        raise ArgumentError("chance: a trajectory was dealt with no probability; give numbers in [0, 1]")
     of, num_policy = counted(courses) if of is None else of, int(courses.is_policy.sum())
     kept = ComparisonCache() if kept is None else kept
     kept.begin()

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from halfseen.censoring.cut_model import CensoringSpec
-from halfseen.errors import PolicyError
+from halfseen.errors import ArgumentError, PolicyError
 from halfseen.evaluation.specification import task_of
 from halfseen.learning.covariates import Covariates
 from halfseen.learning.discrete_policy import NamedActionPolicy
+from halfseen.learning.q_model import checked_log
 from halfseen.learning.rows import trajectory_arrays
 from halfseen.learning.task import Encoded
 from halfseen.logs import Logs
@@ -133,12 +134,14 @@ def monitored(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Monitored:
 
 def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     """Bet on a log, with the parameters and errors of `monitored`."""
+    if not isinstance(stored, StoredPolicy):
+        raise ArgumentError(f"stored is a {type(stored).__name__}; give a StoredPolicy, as read_policy returns")
+    checked_log(logs, Logs)
     promise = stored.record.get("promise")
     if promise is None:
         raise PolicyError("its folder holds no promise, as it is from halfseen 0.1; learn the policy again")
     whole_log, logs = logs, decided_by(stored.digest, logs)
-    notes = decided_by_others(whole_log, logs)
-    logs = that_ended(logs)
+    notes, logs = decided_by_others(whole_log, logs), that_ended(logs)
     policy = stored.policy
     looks_at = looks_at_of(policy)
     inputs, parts = input_streams(promise["stages"], logs), part_streams(promise.get("parts", ()), looks_at, logs)

@@ -23,7 +23,9 @@ from numpy.typing import ArrayLike
 
 from halfseen.censoring.clocks import StageClocks, stacked
 from halfseen.censoring.cut_model import CensoringSpec, CutModel
+from halfseen.censoring.inputs import as_floats
 from halfseen.errors import ArgumentError, HalfseenError
+from halfseen.estimator import is_count, is_number
 from halfseen.shapes import Bool, Float
 
 MOST_BET = 0.75
@@ -51,12 +53,14 @@ class BettingBounds:
     """
 
     def __init__(self, low: float, high: float, alpha: float = 0.05, num_points: int = 401) -> None:
-        if not (np.isfinite([low, high]).all() and low < high):
+        if not (is_number(low) and is_number(high) and low < high):
             raise ArgumentError(
-                f"low is {low} and high {high}; give two finite numbers around the mean, the lower first"
+                f"low is {low!r} and high {high!r}; give two finite numbers around the mean, the lower first"
             )
-        if not 0.0 < alpha < 1.0:
-            raise ArgumentError(f"alpha is {alpha}; give a number between 0 and 1")
+        if not (is_number(alpha) and 0.0 < alpha < 1.0):
+            raise ArgumentError(f"alpha is {alpha!r}; give a number between 0 and 1")
+        if not is_count(num_points) or num_points < 2:
+            raise ArgumentError(f"num_points is {num_points!r}; give a whole number of at least 2")
         self.low, self.high = float(low), float(high)
         self.lower, self.upper = self.low, self.high
         self.grid = np.linspace(self.low, self.high, num_points)
@@ -83,7 +87,7 @@ class BettingBounds:
         ArgumentError
             An outcome lies outside its range, or its range does not contain that of the mean.
         """
-        x = np.atleast_1d(np.asarray(values, dtype=np.float64))
+        x = np.atleast_1d(as_floats(values, "values"))
         below = np.broadcast_to(np.asarray(self.low if lows is None else lows, dtype=np.float64), x.shape)
         above = np.broadcast_to(np.asarray(self.high if highs is None else highs, dtype=np.float64), x.shape)
         self._refuse_outside(x, below, above)
@@ -174,11 +178,14 @@ class CensoredOutcomes:
         censoring: CensoringSpec | None = None,
         largest_weight: float = LARGEST_WEIGHT,
     ) -> None:
-        if not low < high:
+        if not (is_number(low) and is_number(high) and low < high):
             raise ArgumentError(
-                f"low is {low} and high {high}; give two numbers around the rewards of a trajectory, the lower first"
+                f"low is {low!r} and high {high!r}; give two finite numbers around the rewards of a trajectory, "
+                "the lower first"
             )
         chosen = CensoringSpec() if censoring is None else censoring
+        if not isinstance(chosen, CensoringSpec):
+            raise ArgumentError(f"censoring is {censoring!r}; give CensoringSpec(…), or None for Kaplan–Meier")
         self.low, self.high, self.largest_weight = float(low), float(high), float(largest_weight)
         self.censoring = CensoringSpec(chosen.model, chosen.by, chosen.covariates, self.largest_weight)
         self._clocks: StageClocks | None = None
@@ -209,7 +216,11 @@ class CensoredOutcomes:
         ArgumentError
             A total lies outside the range.
         """
-        total = np.atleast_1d(np.asarray(totals, dtype=np.float64))
+        total = np.atleast_1d(as_floats(totals, "totals"))
+        if len(total) != clocks.num_trajectories:
+            raise ArgumentError(
+                f"totals has {len(total)} rows for {clocks.num_trajectories} trajectories; give one each"
+            )
         wrong = clocks.is_finished & ~((total >= self.low) & (total <= self.high))
         if wrong.any():
             at = int(np.argmax(wrong))

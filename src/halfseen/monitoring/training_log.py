@@ -17,7 +17,9 @@ import numpy as np
 import pandas as pd
 
 from halfseen.censoring import KaplanMeier
+from halfseen.estimator import check_seed
 from halfseen.learning.covariates import Covariates, fit_covariates, learned_categories
+from halfseen.learning.q_model import checked_log
 from halfseen.learning.rows import stage_places
 from halfseen.learning.sample import sampled
 from halfseen.logs import Logs
@@ -83,6 +85,8 @@ def changes_in(logs: Logs, policy: Any = None, seed: int = 0) -> list[Change]:
     seed
         Seed of the permutations.
     """
+    checked_log(logs, Logs)
+    check_seed(seed)
     rows, names = sampled(logs.num_trajectories, seed), logs.trajectory_ids
     logs = logs if len(rows) == len(names) else logs.select(names[rows])
     looks_at = _all_covariates(logs) if policy is None else looks_at_of(policy)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.errors import LogError, PolicyError
+from halfseen.errors import ArgumentError, LogError, PolicyError
 from halfseen.lazy import Frame
 from halfseen.learning.discrete_policy import DiscretePolicy, Valued
 from halfseen.policies.decision import (
@@ -89,24 +89,19 @@ class NamedDecider:
         Raises
         ------
         ArgumentError
-            There is no such stage.
-        LogError
-            A covariate is missing, not finite, null or of an unknown category.
+            There is no such stage, or it is no observation.
+        PolicyError
+            The state is neither one row nor a mapping, or a covariate is missing, not finite, null or of an unknown
+            category.
         OutOfRangeError
             A covariate lies far outside the logs, and extrapolation is not allowed.
         """
-        policy, row, filled = self.policy, observation.row, observation.filled
-        if policy.filling is not None:
-            state = row if isinstance(row, Mapping) else _first_of(row)
-            full, said = completed(policy, state, observation.last)
-            filled = {**filled, **said}
-            row = known_covariates(policy, full, "the state") if isinstance(row, Mapping) else _row(full, "the state")
-        if isinstance(row, Mapping):
-            return self.decide_known(row, observation.stage, filled)
-        policy.looks_at.encode(row)
-        texts = policy.categories
-        values = {name: (str if name in texts else float)(row[name].iloc[0]) for name in policy.covariates}
-        return self.decide_known(values, observation.stage, filled)
+        if not isinstance(observation, NamedObservation):
+            raise ArgumentError(f"observation is a {type(observation).__name__}; give NamedObservation(row, stage)")
+        policy, row = self.policy, observation.row
+        full, filled = completed(policy, row if isinstance(row, Mapping) else _only_row(row), observation.last)
+        values = known_covariates(policy, full, "the state")
+        return self.decide_known(values, observation.stage, {**observation.filled, **filled})
 
     def decide_known(
         self, values: Mapping[str, Any], stage: int, filled: Mapping[str, str] = MappingProxyType({})
@@ -319,7 +314,10 @@ def _check_row(row: Frame, policy: DiscretePolicy, where: str) -> None:
         raise PolicyError(f"{where}: {error}") from error
 
 
-def _first_of(frame: Frame) -> dict[str, Any]:
+def _only_row(frame: Frame) -> dict[str, Any]:
+    if not hasattr(frame, "columns") or len(frame) != 1:
+        what = f"{len(frame)} rows" if hasattr(frame, "columns") else f"a {type(frame).__name__}"
+        raise PolicyError(f"the state: {what}; give a frame of one row, or the values of the covariates by name")
     is_null = frame.iloc[0].isna()
     return {name: None if is_null[name] else frame[name].iloc[0] for name in frame.columns}
 

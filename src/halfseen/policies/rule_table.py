@@ -74,11 +74,11 @@ class Condition:
         Raises
         ------
         ArgumentError
-            The covariate is missing, or is text where a number is needed, or the reverse.
+            The covariate is missing or NaN, or is text where a number is needed, or the reverse.
         """
         given = stage if self.column == STAGE else values.get(self.column)
         value = self.text if isinstance(given, str) else self.value
-        if given is None or value is None or isinstance(given, str) != isinstance(value, str):
+        if given is None or given != given or value is None or isinstance(given, str) != isinstance(value, str):
             raise ArgumentError(
                 f"the rule asks for {self.column} {self.sign} {self.value}, but {self.column} is {given}"
             )

@@ -10,11 +10,13 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.workers.pool import Pool
-    from halfseen.workers.workers import ALONE, Workers
+    from halfseen.workers.workers import ALONE, Workers, checked_workers
 
 ENGINES = ("processes", "ray", "dask")
 """The engines that can run workers, by name."""
 
-__all__ = ["ALONE", "ENGINES", "Pool", "Workers"]
+__all__ = ["ALONE", "ENGINES", "Pool", "Workers", "checked_workers"]
 
-__getattr__ = lazy_names(__name__, {"ALONE": "workers", "Pool": "pool", "Workers": "workers"})
+__getattr__ = lazy_names(
+    __name__, {"ALONE": "workers", "Pool": "pool", "Workers": "workers", "checked_workers": "workers"}
+)

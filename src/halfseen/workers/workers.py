@@ -96,5 +96,12 @@ class Workers:
         return begin(self._num, self.address)
 
 
+def checked_workers(workers: object) -> Workers:
+    """Refuse what are no workers; return them."""
+    if not isinstance(workers, Workers):
+        raise ArgumentError(f"workers is {workers!r}; give Workers of halfseen.workers, such as Workers(4)")
+    return workers
+
+
 ALONE = Workers(1)
 """This process makes all pieces itself."""

@@ -312,6 +312,8 @@ def test_rows_of_other_columns_are_refused_at_predict(model):
         ({"random_state": -1}, "random_state is -1; it is a seed"),
         ({"tau": "x"}, "tau is 'x'; give a time"),
         ({"tol": "x"}, "tol is 'x'; give a share"),
+        ({"loss": "pinball", "quantile": "0.5"}, "quantile is '0.5'; give a number in"),
+        ({"num_landmarks": 2.5}, "num_landmarks is 2.5; give at least 1"),
     ],
 )
 def test_parameters_of_another_type_are_refused(parameters, words):

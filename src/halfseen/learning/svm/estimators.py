@@ -172,7 +172,7 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
         """
         f, ends = self._values(X), self._ends(y)
         values = self._targets(y, ends)
-        _, weights, _ = self._weigh(self._checked_rows(X, is_fit=False), sample_weight, ends, values)
+        _, weights, _ = self._weigh(self._checked_rows(X, False, y), sample_weight, ends, values)
         seen, loss = weights > 0, self._checked_loss(values)
         constant = best_constant(values[seen], weights[seen], loss)
         left, most = (weights[seen] @ loss.value(values[seen], s[seen]) for s in (f, np.full(len(f), constant)))
@@ -302,7 +302,7 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         """Weighted accuracy; the weights come from the scored rows."""
         predicted, ends = self.predict(X), self._ends(y)
         truth = column_or_1d(y) if ends is None else self._is_early(ends)
-        _, weights, _ = self._weigh(self._checked_rows(X, is_fit=False), sample_weight, ends, truth)
+        _, weights, _ = self._weigh(self._checked_rows(X, False, y), sample_weight, ends, truth)
         return float(weights @ (truth == predicted) / weights.sum())
 
     def __sklearn_tags__(self) -> Any:
@@ -337,7 +337,7 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
                 "use sklearn.multiclass.OneVsRestClassifier"
             )
         if len(self.classes_) < 2:
-            raise ArgumentError(f"y holds only one class, {self.classes_[0]!r}; give labels of two classes")
+            raise ArgumentError(f"y holds only one class, {self.classes_.tolist()[0]!r}; give labels of two classes")
         return np.where(labels == self.classes_[1], 1.0, -1.0)
 
     def _check_seen(self, targets: Rows) -> None:

@@ -23,6 +23,7 @@ import numpy as np
 
 from halfseen.arrays import Rows
 from halfseen.errors import ArgumentError
+from halfseen.estimator import is_number
 from halfseen.shapes import Float
 
 Kernel: TypeAlias = Callable[[Any, Any], np.ndarray]
@@ -71,13 +72,13 @@ class VectorKernel:
                 f"kernel {self.name!r} is unknown; give one of {', '.join(KERNEL_NAMES)}, or a callable; for sets, "
                 "'set' or a SetKernel"
             )
-        if self.name != "linear" and not 0.0 < self.gamma < np.inf:
+        if self.name != "linear" and not (is_number(self.gamma) and self.gamma > 0.0):
             raise ArgumentError(f"gamma is {self.gamma}, not a kernel width; give a finite number > 0, such as 'scale'")
-        if self.name == "polynomial" and not (self.degree >= 1 and self.degree % 1 == 0):
+        if self.name == "polynomial" and not (is_number(self.degree) and self.degree >= 1 and self.degree % 1 == 0):
             raise ArgumentError(
                 f"degree is {self.degree}: such a power is not a positive semidefinite kernel; give a whole number ≥ 1"
             )
-        if self.name == "polynomial" and not 0.0 <= self.coef0 < np.inf:
+        if self.name == "polynomial" and not (is_number(self.coef0) and self.coef0 >= 0.0):
             raise ArgumentError(
                 f"coef0 is {self.coef0}: the polynomial is not a positive semidefinite kernel; give a finite number ≥ 0"
             )

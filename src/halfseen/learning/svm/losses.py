@@ -44,6 +44,7 @@ from scipy.special import expit, xlogy
 
 from halfseen.arrays import Rows
 from halfseen.errors import ArgumentError
+from halfseen.estimator import is_number
 
 REGRESSION = ("squared", "absolute", "pinball", "epsilon-insensitive", "huber")
 CLASSIFICATION = ("hinge", "squared-hinge", "logistic")
@@ -141,12 +142,12 @@ def _within(values: Rows, t: Rows, low: Rows | float, high: Rows | float) -> Row
 
 def named_loss(name: str, *, epsilon: float | int = 0.1, quantile: float | int = 0.5, delta: float | int = 1.0) -> Loss:
     """The loss of this name."""
-    if name == "pinball" and not 0.0 < quantile < 1.0:
-        raise ArgumentError(f"quantile is {quantile}; give a number in (0, 1); 0.5 is the median")
-    if name == "epsilon-insensitive" and not 0.0 <= epsilon < np.inf:
-        raise ArgumentError(f"epsilon is {epsilon}; give a distance ≥ 0 in the target's units")
-    if name == "huber" and not 0.0 < delta < np.inf:
-        raise ArgumentError(f"delta is {delta}; give a distance > 0 in the target's units")
+    if name == "pinball" and not (is_number(quantile) and 0.0 < quantile < 1.0):
+        raise ArgumentError(f"quantile is {quantile!r}; give a number in (0, 1); 0.5 is the median")
+    if name == "epsilon-insensitive" and not (is_number(epsilon) and epsilon >= 0.0):
+        raise ArgumentError(f"epsilon is {epsilon!r}; give a distance ≥ 0 in the target's units")
+    if name == "huber" and not (is_number(delta) and delta > 0.0):
+        raise ArgumentError(f"delta is {delta!r}; give a distance > 0 in the target's units")
     losses = {
         "squared": PiecewiseLoss(np.inf, np.inf, softness=0.5),
         "absolute": PiecewiseLoss(),

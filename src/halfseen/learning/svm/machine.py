@@ -3,7 +3,6 @@
 import warnings
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
-from numbers import Real
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -14,7 +13,9 @@ from sklearn.utils.validation import _check_sample_weight, check_is_fitted, vali
 
 from halfseen.arrays import RowIds, Rows
 from halfseen.censoring import CensoringModel, WeightDiagnostics, warn_if_few, weight_diagnostics
+from halfseen.censoring.inputs import refuse_other_order
 from halfseen.errors import ArgumentError, HalfseenWarning
+from halfseen.estimator import check_generator, is_number
 from halfseen.learning.svm.kernels import SetKernel, all_objects, as_sets, checked_gram, named_kernel, scale_gamma
 from halfseen.learning.svm.losses import CLASSIFICATION, Loss, named_loss, own_loss
 from halfseen.learning.svm.newton import Coefficients, Features, Gram, Space
@@ -75,9 +76,9 @@ class CensoredSVM(BaseEstimator):
     n_features_in_: int = field(init=False)
 
     def _check_parameters(self) -> None:
-        if self.reg != "cv" and not (_is_number(self.reg) and 0 <= self.reg < np.inf):
+        if self.reg != "cv" and not (is_number(self.reg) and self.reg >= 0):
             raise ArgumentError(f"reg is {self.reg!r}; give a λ ≥ 0, or 'cv'")
-        if self.gamma not in ("scale", "cv") and not (_is_number(self.gamma) and 0 < self.gamma < np.inf):
+        if self.gamma not in ("scale", "cv") and not (is_number(self.gamma) and self.gamma > 0):
             raise ArgumentError(
                 f"gamma is {self.gamma!r}; a kernel's width is 1/√gamma, so give a number > 0, 'scale' or 'cv'"
             )
@@ -86,16 +87,14 @@ class CensoredSVM(BaseEstimator):
                 "reg is 0, so the solution with an intercept is not unique; give reg > 0, for example 1e-6, or "
                 "fit_intercept=False"
             )
-        if self.tau is not None and not (_is_number(self.tau) and 0.0 < self.tau < np.inf):
+        if self.tau is not None and not (is_number(self.tau) and self.tau > 0.0):
             raise ArgumentError(f"tau is {self.tau!r}; give a time > 0 s, or None for times that are not restricted")
-        if not (_is_number(self.tol) and 0 < self.tol < 1):
+        if not (is_number(self.tol) and 0 < self.tol < 1):
             raise ArgumentError(f"tol is {self.tol!r}; give a share of the objective, in (0, 1)")
-        try:
-            np.random.default_rng(self.random_state)
-        except (TypeError, ValueError):
-            raise ArgumentError(f"random_state is {self.random_state!r}; it is a seed, a whole number ≥ 0") from None
+        check_generator(self.random_state)
 
-    def _checked_rows(self, X: Any, is_fit: bool) -> np.ndarray:
+    def _checked_rows(self, X: Any, is_fit: bool, y: Any = None) -> np.ndarray:
+        refuse_other_order(X=X, y=y[0] if isinstance(y, tuple) and y else y)
         if self.kernel == "set" or isinstance(self.kernel, SetKernel):
             return as_sets(X)
         rows: Any = validate_data(
@@ -138,7 +137,8 @@ class CensoredSVM(BaseEstimator):
             As returned by `_fit_function`.
         """
         self._check_parameters()
-        rows, ends = self._checked_rows(X, is_fit=True), self._ends(y)
+        refuse_other_order(X=X, sample_weight=sample_weight)
+        rows, ends = self._checked_rows(X, True, y), self._ends(y)
         targets = self._targets(y, ends)
         counts, self.weights_, self.censoring_ = self._weigh(rows, sample_weight, ends, targets)
         self.diagnostics_ = weight_diagnostics(self.weights_, self.truncate_at)
@@ -253,10 +253,6 @@ class CensoredSVM(BaseEstimator):
         """Values of f at new rows."""
         check_is_fitted(self, "function_")
         return self.function_.transform(self._checked_rows(X, is_fit=False)) + self.intercept_
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 def _reg_unit(y: Rows, weight: Rows, loss: Loss) -> float:

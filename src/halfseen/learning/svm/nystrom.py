@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import ArgumentError
+from halfseen.estimator import is_count
 from halfseen.learning.svm.kernels import Kernel, checked_gram, kernel_diagonal, row_blocks
 from halfseen.shapes import Float, Int
 
@@ -92,8 +93,8 @@ def fit_nystrom(kernel: Kernel, rows: np.ndarray, num_landmarks: int, rng: np.ra
     rng
         Generator that draws the landmarks.
     """
-    if num_landmarks < 1:
-        raise ArgumentError(f"num_landmarks is {num_landmarks}; give at least 1")
+    if not is_count(num_landmarks):
+        raise ArgumentError(f"num_landmarks is {num_landmarks!r}; give at least 1")
     most = max(MOST_CANDIDATES, CANDIDATES_A_LANDMARK * num_landmarks)
     candidates = rows[rng.permutation(len(rows))[:most]] if len(rows) > most else rows
     few = candidates[:ROWS_CHECKED]

@@ -18,6 +18,7 @@ from halfseen.policies.folder.kinds import FLAT, PolicyKind, laid_out
 from halfseen.policies.folder.record import as_json, from_json
 from halfseen.policies.ranges import Range, refuse_outside
 from halfseen.shapes import Bool
+from halfseen.writing import path_of
 
 if TYPE_CHECKING:
     from halfseen.logs import Logs
@@ -176,9 +177,7 @@ def read_policy(folder: str | Path) -> StoredPolicy:
     PolicyError
         A file is missing, a byte has changed, the version is unknown, or the numbers do not fit the schema.
     """
-    if not isinstance(folder, str | Path):
-        raise ArgumentError(f"folder is a {type(folder).__name__}; give the path of a folder")
-    folder = Path(folder)
+    folder = path_of(folder)
     text, numbers = read_files(folder)
     with within(folder / RECORD):
         record = from_json(text)

@@ -12,8 +12,10 @@ import safetensors.numpy
 import halfseen
 from halfseen.censoring import positivity_report, weight_diagnostics
 from halfseen.censoring.positivity import PositivityReport
+from halfseen.errors import ArgumentError
 from halfseen.estimator import check_fitted
 from halfseen.learning.q_learner import CensoredQLearner
+from halfseen.learning.q_model import checked_log
 from halfseen.learning.sample import latest
 from halfseen.learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream
@@ -26,6 +28,7 @@ from halfseen.policies.folder.promised_parts import promised_parts, promised_sta
 from halfseen.policies.folder.record import FORMAT, VERSION, as_json, from_json
 from halfseen.policies.folder.specification import described
 from halfseen.policies.folder.stored import kind_name_of, kind_named, policy_of
+from halfseen.writing import path_of
 
 
 def write_policy(
@@ -57,19 +60,26 @@ def write_policy(
     Raises
     ------
     ArgumentError
-        The folder exists or cannot be written, or the policy holds what cannot be stored: a custom grasp model, or
-        actions that are neither whole numbers nor text.
+        The log has another number of trajectories than that of the learner, the folder exists or cannot be written, or
+        the policy holds what cannot be stored: a custom grasp model, or actions that are neither whole numbers nor
+        text.
     PolicyError
         A number of the policy is not finite.
     """
     check_fitted(learner, "policy_")
-    check_target(Path(folder), overwrite)
+    if checked_log(logs).num_trajectories != len(learner.weights_):
+        raise ArgumentError(
+            f"the log has {logs.num_trajectories} trajectories, but the learner was fitted to {len(learner.weights_)}; "
+            "give it the log that it was fitted to"
+        )
+    folder = path_of(folder)
+    check_target(folder, overwrite)
     arrays = kind_named(kind_name_of(learner.policy_)).arrays_of(learner.policy_)
     # The memory order of a matrix affects the rounding of a product, and so the last bit.
     by_column = [name for name, each in arrays.items() if each.flags.f_contiguous and not each.flags.c_contiguous]
     text = as_json({**record_of(learner, logs, verdict, origin), "column_major": sorted(by_column)})
     policy_of(from_json(text), arrays)
-    write_files(Path(folder), text, safetensors.numpy.save(laid_out(arrays, ())), overwrite=overwrite)
+    write_files(folder, text, safetensors.numpy.save(laid_out(arrays, ())), overwrite=overwrite)
 
 
 def record_of(
