@@ -54,6 +54,7 @@ BROKEN = [
     ("[action]", "trajectory = 1\n[action]", r"trajectory: expected `object.*`, got `int`"),
     ("[action]", "[covariates.reward]\ntopic='/x'\nfield='data'\n[action]", "covariates.reward: stages have such"),
     ("[action]", "[covariates.x]\ntopic='/x'\n[action]", r"covariates\.x\.field: it is missing"),
+    ("[action]", "[action]\nkeeps = true", r"action\.keeps: it is for covariates alone; leave it out"),
     ('topic = "/end"', 'topic = "/end"\nfinished = []', r"ending\.finished: expected `array` of length >= 1"),
     ('topic = "/end"', 'topic = "/end"\nfinished = "done"', r"ending\.finished: expected `array`, got `str`"),
     ("[action]", "[action", r".*it is not valid TOML .*line 1"),
@@ -108,6 +109,21 @@ def test_two_trajectories_of_one_bag_which_is_read_from_its_storage_where_its_re
     (folder / "metadata.yaml").unlink()
     for source in (folder, *folder.iterdir()):
         assert read_bag(source, file).stages.equals(logs.stages)
+
+
+def test_a_covariate_that_keeps_its_value_is_seen_in_every_trajectory_until_the_next(bag, mapping):
+    latched = [(0.5, "G1"), (12.0, "G2"), (31.0, "G3")]
+    messages = [text(at, "/tool", name) for at, name in latched] + two_trajectories()
+    for at in (20.0, 30.0):
+        messages += [text(at, "/episode/begin", f"tuesday-{at:g}"), number(at + 0.1, "/camera/occlusion", 0.5)]
+        messages += [text(at + 2.0, "/pick/action", "WASH"), number(at + 2.0, "/pick/probability", 1.0)]
+        messages += [number(at + 3.0, "/pick/reward", 1.0)]
+    covariate = '[covariates.tool]\ntopic = "/tool"\nfield = "data"\n'
+    logs = read_bag(bag(messages), mapping(WITHOUT_CLOUD + covariate + "keeps = true\n"))
+    assert logs.stages["tool"].tolist() == ["G1", "G1", "G1", "G2", "G2", "G2", "G3", "G3"]
+    assert logs.trajectories["end_s"].tolist() == [2.75, 2.5, 3.0, 3.0]
+    with refused(r"no message of /tool came before .* set keeps = true for it", LogError):
+        read_bag(bag(messages, "again"), mapping(WITHOUT_CLOUD + covariate))
 
 
 def test_bags_of_ros_1_are_read_too(tmp_path, mapping):

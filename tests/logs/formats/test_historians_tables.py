@@ -1,11 +1,12 @@
 """Tables as historians, spreadsheets and controllers export them: what comes out was worked out by hand."""
 
+import re
 from contextlib import nullcontext
 
 import pytest
 
 from event_files import AMERICAN, GERMAN, GERMAN_ENDS, GERMAN_STAGES, HISTORIAN, STAGES, WIDE, ends, stages
-from halfseen.errors import HalfseenWarning
+from halfseen.errors import ArgumentError, HalfseenWarning
 from refusals import refused
 
 MIDNIGHT = """\
@@ -242,6 +243,19 @@ def test_what_stands_after_the_action_of_its_own_time_is_warned_of(read_table):
     first = "2025-10-26T02:59:50+02:00;7;Gewicht;;0,5\n"
     with refused(r"stage 1: no message of 'Gewicht' came before its action"):
         read_table(GERMAN.replace(first, ""), HISTORIAN)
+
+
+def test_a_covariate_keeps_its_value_from_before_the_event_that_began_the_trajectory(read_table):
+    # The first weight of each trajectory stands before its beginning; the third has none of its own.
+    lines = re.sub(r"(?m)^(.*);(\d);Gewicht;;(0,5|1,0)$", r"\1;\2;Gewicht;;\3\n\1;\2;Anfang;;", GERMAN)
+    lines = lines.replace("9;Gewicht;;1,5", "9;Anfang;;")
+    keeping = HISTORIAN.replace('{field = "Lauf"}', '{topic = "Anfang"}')
+    keeping = keeping.replace('"Gewicht", field = "Wert"}', '"Gewicht", field = "Wert", keeps = true}')
+    with pytest.warns(HalfseenWarning, match="1 values come before the first beginning"):
+        found = read_table(lines, keeping)
+    assert found.stages["weight"].tolist() == [0.5, 0.75, 1.0, 1.0]
+    with refused(r"covariates\.weight\.keeps: it is for trajectories that begin with an event", ArgumentError):
+        read_table(GERMAN, keeping.replace('{topic = "Anfang"}', '{field = "Lauf"}'))
 
 
 SPANS = """\

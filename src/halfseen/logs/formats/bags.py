@@ -100,7 +100,7 @@ def read_bag(
         of_bag = []
         runs = read_events(bag, mapping, named)
         _warn_of_early(bag, runs, begin)
-        for name, events in split(bag, runs, begin, mapping.file):
+        for name, events in split(bag, runs, begin, mapping.file, mapping.kept):
             num_begun += 1
             trajectory = Trajectory(num_begun if name is None else name, needed, mapping.ending.finished)
             if begin is not None:
@@ -167,15 +167,22 @@ def logs_of(
 
 
 def split(
-    bag: Path, runs: list[list[Event]], begin_topic: str | None, mapping: str
+    bag: Path, runs: list[list[Event]], begin_topic: str | None, mapping: str, kept: Collection[str] = ()
 ) -> Iterator[tuple[Any, list[Event]]]:
     """Split the runs of a recording's clock into trajectories: name (None without one) and messages of each.
 
-    A trajectory begins with a message of `begin_topic` or, if that is None, with a run. `mapping` is its file, for
-    error messages.
+    A trajectory begins with a message of `begin_topic` or, if that is None, with a run, and with the latest values of
+    the keys in `kept`. `mapping` is its file, for error messages.
     """
+    latest: dict[str, Event] = {}
+
+    def begun(events: list[Event]) -> list[Event]:
+        before = [event._replace(stamp_ns=events[0].stamp_ns) for event in latest.values()] if events else []
+        latest.update({event.key: event for event in events if event.key in kept})
+        return before + events
+
     if begin_topic is None:  # a run with covariates alone, between two resets, is not a trajectory
-        yield from ((None, events) for events in list(filter(_deeds, runs)) or runs[:1])
+        yield from ((None, begun(events)) for events in list(filter(_deeds, runs)) or runs[:1])
         return
     begins = [[i for i, event in enumerate(events) if event.key == "trajectory"] for events in runs]
     for events, at in list(zip(runs, begins, strict=True))[1:]:
@@ -185,8 +192,9 @@ def split(
                 f"{begin_topic}; record the beginning after the reset, or set clock = 'log' in {mapping}"
             )
     for events, at in zip(runs, begins, strict=True):
+        begun(events[: min(at, default=len(events))])
         for begin, end in pairwise([*at, len(events)]):
-            yield events[begin].value, events[begin:end]
+            yield events[begin].value, begun(events[begin:end])
 
 
 def _deeds(events: list[Event]) -> list[Event]:
@@ -305,7 +313,8 @@ class Trajectory:
         if self.missing:
             raise LogError(
                 f"{self.place}trajectory {shown(self.name)}, stage 1: no message of {', '.join(self.missing)} came "
-                "before its action; begin the trajectory after the first, or leave the covariate out of the mapping"
+                "before its action; begin the trajectory after the first, set keeps = true for it if its value from "
+                "before that event holds, or leave the covariate out of the mapping"
             )
 
     def _end(self, stage: dict[str, Any], event: Event) -> None:

@@ -196,7 +196,7 @@ def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tu
             yield name, events
             continue
         event_doubts.warn_of_early(cells, events)
-        for begun, following in split(Path(cells.file), [events], mapping.column("trajectory"), file):
+        for begun, following in split(Path(cells.file), [events], mapping.column("trajectory"), file, mapping.kept):
             yield begun, following if since is None else [Event(0, "begin", None), *following]
     warn_of_first_rewards(cells, early)
 

@@ -49,7 +49,9 @@ def refuse_mapping(file: str | Path, mapping: Any, troubles: Iterator[tuple[str,
     """Refuse an inconsistent mapping, naming the key."""
     taken = [f"covariates.{name}" for name in mapping.covariates if name in (*STAGE_COLUMNS, "cloud")]
     trouble_of_name = "stages have such a column already; give the covariate another name"
-    for key, trouble in chain(troubles, zip(taken, repeat(trouble_of_name))):
+    wrong = [f"{key}.keeps" for key in mapping.kept if not key.startswith("covariates.")]
+    trouble_of_key = "it is for covariates alone; leave it out"
+    for key, trouble in chain(troubles, zip(taken, repeat(trouble_of_name)), zip(wrong, repeat(trouble_of_key))):
         raise ArgumentError(f"{file}, {key}: {trouble}")
 
 
@@ -59,6 +61,8 @@ class ValueSource(msgspec.Struct, **Given):
     topic: str = ""
     field: str | None = None
     """Path into the message; None for the message itself."""
+    keeps: bool = False
+    """Whether a covariate keeps its value from before the trajectory began, as on a latched topic."""
 
 
 class Parts(msgspec.Struct, Generic[Of], kw_only=True, **Given):
@@ -77,6 +81,12 @@ class Parts(msgspec.Struct, Generic[Of], kw_only=True, **Given):
         named = {"trajectory": self.trajectory, **{f"covariates.{name}": of for name, of in self.covariates.items()}}
         named |= {key: getattr(self, key, None) for key in _KEYS}
         return {key: source for key, source in named.items() if source is not None}
+
+    @property
+    def kept(self) -> list[str]:
+        """Keys of the sources whose values outlast a trajectory."""
+        entries: dict[str, Any] = self.entries
+        return [key for key, source in entries.items() if source.keeps]
 
 
 class EndingSource(ValueSource, **Given):

@@ -77,6 +77,8 @@ class Entry(msgspec.Struct, **Given):
     """Replacements for texts; other text is kept."""
     type: Literal["number", "text"] | None = None
     """Type of a covariate; None to detect it."""
+    keeps: bool = False
+    """Whether a covariate keeps its value from before the event that began the trajectory."""
     row: Literal["next"] | None = None
     """"next" for a reward that stands in the row after its action; None for the row of the action."""
 
@@ -220,6 +222,8 @@ def _troubles_of_table(mapping: EventMapping) -> Iterator[tuple[str, str]]:
          "of beginnings, such as the end in the row before"),
         (clock.since is not None and clock.begin is not None, "clock",
          f"since = {clock.since!r} and begin = {clock.begin!r} both define when it begins; leave one out"),
+        (bool(mapping.kept) and not mapping.has_begins, f"{(mapping.kept or [''])[0]}.keeps",
+         "it is for trajectories that begin with an event; leave it out"),
         (topic is not None and (clock.since == "stage" or clock.begin is not None), "clock",
          "begin, and since = 'stage', are for tables of one row a stage; leave it out"),
         (ending.is_derived and (ending.field is not None or ending.topic is not None), "ending",
