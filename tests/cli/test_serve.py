@@ -49,6 +49,8 @@ def test_a_controller_without_python_gets_decisions_and_makes_the_next_log(polic
         client.post("/reward", json={"reward": 2})
         kept(flat_learner(5.0), flat_log(), policy, overwrite=True)
         process.send_signal(signal.SIGHUP)
+        assert client.post("/decide", json=SEEN).json()["policy"] == told["policy"]
+        client.post("/end", json={"ending": "cut", "cause": "operator"}).raise_for_status()
         for _ in range(2000):
             if client.get("/health").json()["policy"] != told["policy"]:
                 break
@@ -61,7 +63,7 @@ def test_a_controller_without_python_gets_decisions_and_makes_the_next_log(polic
         process.send_signal(signal.SIGTERM)
         process.wait(120)
     logs = read_logs(tmp_path / "logs")
-    assert logs.trajectories["cause"].tolist() == ["server stopped"]
+    assert logs.trajectories["cause"].tolist() == ["operator", "server stopped"]
     assert logs.stages["reward"].dropna().tolist() == [2.0]
 
 
