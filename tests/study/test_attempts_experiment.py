@@ -208,6 +208,7 @@ def test_the_answer_is_told_either_way(gain, told):
     assert section.num_leading == 3
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bytes(setting, pieces):
     again, other = (pickle.loads(pickle.dumps(each)) for each in (TINY, setting))
     np.random.seed(1)  # noqa: NPY002 - nothing may depend on it

@@ -98,6 +98,7 @@ def test_the_same_log_gives_the_same_bytes_again_and_the_parameters_are_scikit_l
     assert "prior_law" in learner.get_params()
 
 
+@pytest.mark.slow
 def test_few_logs_learn_more_than_linear_eq_3_does():
     logs = logs_of(40)
     learner = CensoredQLearner.for_table(HORIZON).fit(logs)

@@ -115,6 +115,7 @@ def test_a_learned_policy_follows_the_myopic_look_and_what_it_misses(logs, monke
     np.testing.assert_array_equal((q > -np.inf)[is_stage], possible_actions(states)[is_stage])
 
 
+@pytest.mark.slow
 def test_log_odds_that_are_too_sure_of_themselves_are_not_relied_upon(logs):
     logs = logs.select(logs.trajectory_ids[:80])
     objects = logs.objects.copy()

@@ -200,6 +200,7 @@ def test_the_recorders_law_is_read_back_from_its_log_odds(law):
     np.testing.assert_allclose(found.law.found_by(shown), law.found_by(shown), atol=0.05)
 
 
+@pytest.mark.slow
 def test_a_right_recorder_is_rejected_as_rarely_as_the_level_says():
     rejected = [seeing_of(looks(120, SEEING, seed), SHARE).is_rejected for seed in range(20)]
     assert sum(rejected) <= 1
@@ -212,6 +213,7 @@ def test_labels_reject_a_recorder_that_is_too_sure_and_the_law_is_fitted_to_them
     np.testing.assert_allclose(curves_of(found.recorder), curves_of(wrong(SEEING)), atol=2e-3)
 
 
+@pytest.mark.slow
 def test_log_odds_that_no_law_of_the_family_made_tell_of_no_recorder():
     told = looks(80, SEEING)
     found = seeing_of(told._replace(moved=told.moved * np.where(np.arange(len(told.moved)) % 2, 1.0, 2.0)), SHARE)
@@ -219,6 +221,7 @@ def test_log_odds_that_no_law_of_the_family_made_tell_of_no_recorder():
     np.testing.assert_allclose(curves_of(found.law), curves_of(fit_persistent(told, SHARE)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "is_read"), [(0.03, True), (0.2, False)])
 def test_some_views_that_are_remembered_otherwise_hide_no_recorder(share, is_read):
     told = looks(150, SEEING)
@@ -238,6 +241,7 @@ def test_an_independent_recorder_is_read_back_too():
     np.testing.assert_allclose(found.recorder.accuracy(shares), law.accuracy(shares), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_law_that_is_given_is_where_few_labels_leave_it():
     few = of_first(LABELS, 4)
     contradictory = few._replace(moved=np.arange(len(few.moved), dtype=float) - 3.0)

@@ -223,6 +223,7 @@ def test_the_laws_are_those_of_the_world_where_it_takes_other_families():
         np.testing.assert_allclose(found, true, atol=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("config", [WorldConfig(), FITTED])
 def test_the_true_laws_are_not_looked_at(config):
     logs, limit_s = logs_of(config, 30), config.grasping.limit_s
@@ -238,6 +239,7 @@ def test_a_log_tells_its_share_of_dirty_objects_though_nobody_wrote_it_down():
     assert fit_world(untold, WorldConfig()).dirty_share == pytest.approx(0.3, abs=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [WorldConfig(), FITTED])
 def test_fits_to_the_first_trajectories_are_fits_to_a_log_of_them(known):
     logs = logs_of(known, 30)
