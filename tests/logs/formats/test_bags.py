@@ -122,7 +122,7 @@ def test_a_covariate_that_keeps_its_value_is_seen_in_every_trajectory_until_the_
     logs = read_bag(bag(messages), mapping(WITHOUT_CLOUD + covariate + "keeps = true\n"))
     assert logs.stages["tool"].tolist() == ["G1", "G1", "G1", "G2", "G2", "G2", "G3", "G3"]
     assert logs.trajectories["end_s"].tolist() == [2.75, 2.5, 3.0, 3.0]
-    with refused(r"no message of /tool came before .* set keeps = true for it", LogError):
+    with refused(r"no message of /tool came before .* set keeps = true", LogError):
         read_bag(bag(messages, "again"), mapping(WITHOUT_CLOUD + covariate))
 
 

@@ -117,10 +117,11 @@ def read_events(bag: Path, mapping: BagMapping, named: dict[str, str]) -> list[l
                         absent[key] = error
                         continue
                 event = Event(stamp_ns, key, value)
-                if key in _DEEDS and abs(recorded.log_ns - done.get(event, np.inf)) < LONGEST_REPEAT_NS:
-                    num_repeats += 1
-                    continue
-                done[event] = recorded.log_ns
+                if key in _DEEDS:
+                    before_ns, done[event] = done.get(event, -LONGEST_REPEAT_NS), recorded.log_ns
+                    if abs(recorded.log_ns - before_ns) < LONGEST_REPEAT_NS:
+                        num_repeats += 1
+                        continue
                 events.append((recorded.log_ns, event))
     if num_repeats:
         warn(bag, f"{num_repeats:,} messages repeat one of the same time, as where a topic was recorded twice; skipped")

@@ -313,8 +313,8 @@ class Trajectory:
         if self.missing:
             raise LogError(
                 f"{self.place}trajectory {shown(self.name)}, stage 1: no message of {', '.join(self.missing)} came "
-                "before its action; begin the trajectory after the first, set keeps = true for it if its value from "
-                "before that event holds, or leave the covariate out of the mapping"
+                "before its action; begin the trajectory after the first, or leave the covariate out of the mapping; "
+                "if what begins a trajectory is mapped, and a value from before it holds, set keeps = true"
             )
 
     def _end(self, stage: dict[str, Any], event: Event) -> None:
