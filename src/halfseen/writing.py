@@ -25,12 +25,12 @@ FAR_BYTE = 2**30
 
 
 def path_of(folder: object) -> Path:
-    """Refuse what is no path, and addresses in object stores, which would become a folder called "s3:"; return it.
+    """Return a path; refuse addresses in object stores, which would become a folder called "s3:".
 
     Raises
     ------
     ArgumentError
-        It is neither.
+        It is such an address, or no path.
     """
     if not isinstance(folder, str | os.PathLike):
         raise ArgumentError(f"folder is a {type(folder).__name__}; give the path of a folder")

@@ -112,6 +112,7 @@ def _bend(values: Image, K: Intrinsics) -> float:
     return float(np.median(there)) if len(there) >= FEWEST_BENDS else 0.0
 
 
+_AS_ASCII = bytes(range(128)) + b"?" * 128
 # A header has a few dozen lines.
 MOST_HEADER_BYTES = 10**6
 # Properties of an element ``camera``: its position, and the rows of the matrix from its axes to the position's frame.
@@ -178,7 +179,7 @@ def _camera(
 def _in_ascii(content: bytes) -> bytes:
     """The file with a question mark for each byte of a comment that is not ASCII, which its reader refuses."""
     end = content.find(b"end_header")
-    return bytes(byte if byte < 128 else 63 for byte in content[:end]) + content[end:]
+    return content[:end].translate(_AS_ASCII) + content[end:]
 
 
 def _check_counts(content: bytes, path: Path) -> None:

@@ -97,7 +97,7 @@ class Workers:
 
 
 def checked_workers(workers: object) -> Workers:
-    """Refuse what are no workers; return them."""
+    """Return the workers; refuse any other type."""
     if not isinstance(workers, Workers):
         raise ArgumentError(f"workers is {workers!r}; give Workers of halfseen.workers, such as Workers(4)")
     return workers
