@@ -1,5 +1,7 @@
 # Each target does all the set-up that it needs; nothing but Python 3.11 or newer is expected of the machine.
 PYTHON ?= python3
+# Where a machine forbids it, each process of the tests would compile all that it loads.
+unexport PYTHONDONTWRITEBYTECODE
 BIN := .venv/bin
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 

@@ -7,13 +7,14 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from subprocess import PIPE
 
 import httpx2
 import pytest
 
 from halfseen.logs import read_logs
+from halfseen.serving.limits import MOST_CONNECTIONS
 from lines import as_lines
 from small_logs import flat_learner, flat_log, kept
 
@@ -77,6 +78,13 @@ def test_a_token_comes_from_the_environment_what_is_no_http_harms_nobody_and_ctr
                 raw.sendall(sent)
                 raw.settimeout(120)
                 assert b"400" in raw.recv(100)
+        with ExitStack() as idle:
+            at = client.base_url.host, client.base_url.port
+            for _ in range(MOST_CONNECTIONS):
+                idle.enter_context(socket.create_connection(at))
+            refused = httpx2.get(f"{client.base_url}/health", timeout=120)
+            assert (refused.status_code, refused.headers["connection"]) == (503, "close")
+            assert "keep one open" in refused.json()["error"]
         assert client.post("/decide", json=SEEN).status_code == 200
         # Also twice, as by one who does not wait.
         for _ in range(2):

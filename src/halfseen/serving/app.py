@@ -22,7 +22,7 @@ from starlette.routing import Route
 from halfseen.errors import HalfseenError
 from halfseen.reading import json_of
 from halfseen.serving import models
-from halfseen.serving.limits import LARGEST_CLOUD_BYTES, LARGEST_STATE_BYTES, App, Bounded, cloud_in
+from halfseen.serving.limits import LARGEST_CLOUD_BYTES, LARGEST_STATE_BYTES, Bounded, cloud_in
 from halfseen.serving.models import DecisionAnswer, Refusal, model_of
 from halfseen.serving.pages import FORM, JSON, SECURITY, cell_of, described, description_of, page_of
 from halfseen.serving.questions import seen_in_cloud, seen_in_state
@@ -72,7 +72,7 @@ async def _check_is_there(request: Request) -> None:
 
 def app_of(
     served: Served, token: str | None = None, *, largest_bytes: int | None = None, wire: "Wire | None" = None
-) -> App:
+) -> Bounded:
     """Create the ASGI app of a served policy.
 
     Parameters

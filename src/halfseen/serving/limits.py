@@ -12,6 +12,7 @@ import socket
 from collections.abc import AsyncIterator, Awaitable, Callable, MutableMapping
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from types import FrameType
@@ -170,13 +171,16 @@ LARGEST_HEAD_BYTES = 1 << 14
 
 
 class BoundedProtocol(H11Protocol):
-    """HTTP/1.1 that closes idle connections, and those that send the head of a request too slowly."""
+    """HTTP/1.1 of bounded connections; idle ones are closed, and those that send the head of a request too slowly."""
 
     _overdue: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Start the timer for a request."""
+        """Start the timer for a request; refuse those of one connection too many."""
         super().connection_made(transport)
+        if len(self.connections) > MOST_CONNECTIONS:
+            too_many = f"the server has {MOST_CONNECTIONS} open connections, its limit; keep one open for all requests"
+            self.app = partial(self.app.refuse, Refusal(503, too_many))  # type: ignore[union-attr]
         self._await_head()
 
     def data_received(self, data: bytes) -> None:
@@ -246,7 +250,7 @@ class _Server(uvicorn.Server):
             super().handle_exit(sig, frame)
 
 
-def serve(app: App, at: socket.socket, on_start: Callable[[], Any] | None = None) -> None:
+def serve(app: Bounded, at: socket.socket, on_start: Callable[[], Any] | None = None) -> None:
     """Serve an app until it is interrupted; pending requests are answered first.
 
     Parameters
@@ -266,7 +270,7 @@ def serve(app: App, at: socket.socket, on_start: Callable[[], Any] | None = None
         log_level="warning",
         access_log=False,
         server_header=False,
-        limit_concurrency=MOST_CONNECTIONS,
+        proxy_headers=False,
         timeout_keep_alive=int(SLOWEST_HEAD_S),
         timeout_graceful_shutdown=10,
         h11_max_incomplete_event_size=LARGEST_HEAD_BYTES,
