@@ -52,6 +52,7 @@ print(dict(jax.config.values) == settings, (np.random.get_state()[1] == state).a
     assert run(code, check=True).stdout.strip() == "True True float32"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "env_ids"),
     [

@@ -73,6 +73,7 @@ def test_what_is_said_of_half_seen_cups_is_found_on_fresh_tables(belief):
         assert found[name]["found"] == pytest.approx(found[name]["said"], abs=0.08), name
 
 
+@pytest.mark.slow
 def test_sets_of_stains_are_drawn_apart_and_each_cup_is_dirty_as_often_as_the_prior_says(belief):
     rows = fresh(0, 41, 5, 0, belief)
     assert rows.groupby("cup")["is_dirty"].mean().tolist() == [0.6] * rows["cup"].nunique()

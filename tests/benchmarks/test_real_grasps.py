@@ -42,6 +42,7 @@ def test_eleven_foods_were_tried_in_six_ways_in_three_places_and_the_design_is_t
     assert log.stages["reward"].mean() == trials["success"].mean()
 
 
+@pytest.mark.slow
 def test_a_way_for_all_is_worth_the_mean_of_its_trials_and_evaluation_says_so():
     trials = real_grasps.trials()
     choice = real_grasps.one_way(trials)
@@ -116,6 +117,7 @@ def cell():
     return world, policies_of(world), world.log(400, 0, 0.0)
 
 
+@pytest.mark.slow
 def test_stages_as_scope_rl_has_them_give_the_weighted_value_of_evaluate(cell):
     world, policies, log = cell
     given = peer.arranged(world, policies["plain"], log)

@@ -122,6 +122,7 @@ def test_a_rank_is_of_the_nearest_rock_that_is_not_believed_to_be_bad():
     assert BY_RANK.skills(known(START, -1.0))[0].tolist() == [rocks.EXIT] * 7
 
 
+@pytest.mark.slow
 def test_a_log_tells_the_same_trajectories_by_number_and_by_rank_and_half_are_cut():
     rule = rocks.heuristic(0.3)
     rate = rocks.rate_of(0.5, rule, np.random.default_rng(3))

@@ -86,6 +86,7 @@ def test_with_much_data_all_that_maximise_find_the_best(world):
         assert world.worth(policy) == pytest.approx(0.9)
 
 
+@pytest.mark.slow
 def test_random_worlds_are_worlds():
     world, expert = random_world(0)
     np.testing.assert_allclose(world.chance.sum(axis=-1), 1.0)

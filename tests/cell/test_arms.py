@@ -162,6 +162,7 @@ def test_the_makers_arm_has_its_masses_and_limits_and_searches_begin_within_them
     np.testing.assert_array_equal(six.speeds_rad_s, np.ones(6))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "cup", "frictions"),
     [
@@ -184,6 +185,7 @@ def test_an_arm_fetches_a_cup_slippery_or_not(robots, kind, cup, frictions):
     assert 0.06 < cell.opening_m(robot) < 0.09
 
 
+@pytest.mark.slow
 def test_it_waits_behind_the_tables_left_the_same_every_time(robots, six):
     robot = robots["six"]
     kinematics, home = Kinematics(cell_model([], [], [robot]), robot), np.array(robot.home_rad)

@@ -100,6 +100,7 @@ def test_washing_the_dirty_cup_and_finishing_earns_five_and_the_log_tells_all(tm
     assert np.asarray(last.is_on_table)[0, 1].tolist() == np.asarray(state.is_on_table)[:2].tolist()
 
 
+@pytest.mark.slow
 def test_a_lift_costs_its_time_and_shows_all_sides_and_a_wash_of_a_clean_cup_costs_ten(tmp_path, numbers):
     dirty, clean = numbers
     run, logs, _ = played(tmp_path / "logs", scripted((Verb.LIFT, dirty), (Verb.WASH, clean), (Verb.FINISH, 0)))
@@ -112,6 +113,7 @@ def test_a_lift_costs_its_time_and_shows_all_sides_and_a_wash_of_a_clean_cup_cos
     assert (list(after["glance_held"]), list(after["glance_dirty"])) == ([False, True], [True, True])
 
 
+@pytest.mark.slow
 def test_what_stops_a_cell_is_the_cause_of_a_cut_and_its_record_a_history_to_go_on_from(tmp_path, numbers):
     run, logs, _ = played(tmp_path / "logs", scripted((Verb.WASH, numbers[0])), Stops(limit_s=3.0))
     assert run.cause == "time-out"
@@ -131,6 +133,7 @@ def test_what_stops_a_cell_is_the_cause_of_a_cut_and_its_record_a_history_to_go_
     assert is_tried == [int(number == dirty) for number in range(2)]
 
 
+@pytest.mark.slow
 def test_a_table_that_is_believed_empty_is_finished_and_what_is_left_is_paid_for(tmp_path, numbers, monkeypatch):
     looks, look = [], Workcell.look
 
@@ -147,6 +150,7 @@ def test_a_table_that_is_believed_empty_is_finished_and_what_is_left_is_paid_for
     assert not np.asarray(states_of(logs, 10).is_on_table)[0, 1].any()
 
 
+@pytest.mark.slow
 def test_a_lift_shows_what_stands_behind_and_the_cup_stands_where_it_was_then_goes_into_the_rack(numbers):
     front, behind = numbers
     cell = one_arm_cell(surfaces=SURFACES)
@@ -241,6 +245,7 @@ def test_a_table_that_shows_no_cup_is_cut(tmp_path, poses):
     assert run.seconds < 1.0
 
 
+@pytest.mark.slow
 def test_a_campaign_goes_on_where_it_was_killed_and_reads_back_what_is_over(tmp_path, monkeypatch):
     table = Table(TWO_CUPS, TWO_POSES, CAMERA)
     monkeypatch.setattr("halfseen.cell.campaign.random_table", lambda seed: replace(table, name=f"random_{seed}"))

@@ -140,6 +140,7 @@ def test_arms_with_room_for_both_move_at_once(cell, touches):
     assert cell.time_s < 1.5 * both_s
 
 
+@pytest.mark.slow
 def test_an_arm_waits_until_the_space_that_it_wants_is_free(cell, touches):
     told = [[], []]
     executor = begun(cell, *(there_and_back(at(cell, arm, 0.0), HOMES[arm], told[arm]) for arm in (0, 1)))
@@ -161,6 +162,7 @@ def test_arms_that_do_not_wait_for_space_collide_which_is_counted_and_a_force_th
     assert touches.begun_s[0] > 0.5
 
 
+@pytest.mark.slow
 def test_in_a_deadlock_one_arm_goes_home_and_the_other_goes_on(cell, touches):
     executor = begun(cell, crossing(cell, 0, -0.14, 0.08), crossing(cell, 1, 0.14, -0.08))
     assert sorted(results(executor).values()) == ["gave way", "went on"]
@@ -169,6 +171,7 @@ def test_in_a_deadlock_one_arm_goes_home_and_the_other_goes_on(cell, touches):
     assert cell.time_s < 30.0
 
 
+@pytest.mark.slow
 def test_an_arm_that_waits_too_long_at_home_gives_up(cell):
     stays, wants = (there_and_back(at(cell, arm, 0.0), HOMES[arm], seconds=12.0) for arm in (0, 1))
     executor = begun(cell, stays, wants, patience_s=4.0)
@@ -178,6 +181,7 @@ def test_an_arm_that_waits_too_long_at_home_gives_up(cell):
     np.testing.assert_allclose(cell.angles_rad(RIGHT), HOMES[1], atol=0.02)
 
 
+@pytest.mark.slow
 def test_an_arm_that_waits_too_long_with_no_free_way_home_waits_on_while_the_other_is_at_work(cell):
     same = at(cell, 1, 0.0)
     stays = there_and_back(at(cell, 0, 0.0), HOMES[0], seconds=8.0)
@@ -195,6 +199,7 @@ def test_who_only_tries_is_answered_at_once(cell):
     assert cell.time_s == begun_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("is_away", "result", "within_s", "num_gave_way"), [(True, "gave way", 10.0, 1), (False, False, 1.0, 0)]
 )
@@ -209,6 +214,7 @@ def test_an_arm_whose_way_an_idle_one_blocks_goes_home_at_once(cell, touches, is
     assert (executor.tally.num_deadlocks, executor.tally.num_gave_way, touches.num_collisions) == (1, num_gave_way, 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_idle", [True, False])
 def test_a_deadlock_without_a_way_home_stops_the_cell(cell, is_idle):
     first = parked(at(cell, 0, 0.0)) if is_idle else crossing(cell, 0, -0.14, 0.08, has_home=False)
@@ -218,6 +224,7 @@ def test_a_deadlock_without_a_way_home_stops_the_cell(cell, is_idle):
         to_the_end(executor)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("phase", [1, 4, 7])
 def test_an_arm_that_has_left_what_another_wants_is_in_no_deadlock(cell, phase):
     """The one waits for space that the other no longer has since it asked; the other waits for the one by now."""
@@ -242,6 +249,7 @@ def test_an_arm_that_has_left_what_another_wants_is_in_no_deadlock(cell, phase):
     assert (executor.tally.num_waits, executor.tally.num_deadlocks) == (2, 0)
 
 
+@pytest.mark.slow
 def test_an_arm_that_touches_what_another_holds_has_collided():
     cell = LiveCell(cell_model([SLIM], standing((0.0, 0.0)), ROBOTS, []), ROBOTS)
     watch = Touches(cell, ROBOTS)

@@ -61,6 +61,7 @@ def test_a_world_under_the_law_holds_what_the_regression_says(law):
     assert world.reward_wash_clean == -10.0
 
 
+@pytest.mark.slow
 def test_a_law_is_read_as_it_was_written_and_pictures_lie_beside_it_of_which_no_digest_knows(
     law, logs, folder, tmp_path
 ):
@@ -111,6 +112,7 @@ def test_a_law_of_other_objects_or_that_is_none_is_refused(law, tmp_path, change
         read_law(folder)
 
 
+@pytest.mark.slow
 def test_the_shipped_attempts_give_the_shipped_law_again(attempts, tmp_path):
     assert len(attempts.stages) >= 6000
     write_law(fit_law(attempts, HORIZON, Stops().limit_s), tmp_path / "again", {})
@@ -122,6 +124,7 @@ def test_the_shipped_attempts_give_the_shipped_law_again(attempts, tmp_path):
     assert law.grasp.num_decided + law.grasp.num_cut == len(trials(attempts, HORIZON))
 
 
+@pytest.mark.slow
 def test_where_a_tenth_of_the_attempts_is_the_share_that_held_is_known_to_three_hundredths(attempts):
     tried = trials(attempts, HORIZON)
     decided = checked_attempts(tried)

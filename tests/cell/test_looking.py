@@ -159,6 +159,7 @@ def nearest(memory, place):
     return min(memory.objects, key=lambda known: np.linalg.norm(known.middle_m[:2] - place[:2]))
 
 
+@pytest.mark.slow
 def test_what_is_seen_past_is_lost_and_no_longer_on_the_table_unless_it_is_in_hand():
     memory = remembered(BOTH, ONE)
     gone = nearest(memory, BACK)
@@ -212,6 +213,7 @@ def reach(cell, place_m):
     mujoco.mj_forward(cell.cell.model, cell.cell.data)
 
 
+@pytest.mark.slow
 def test_cups_before_the_arms_are_seen_whole_and_one_behind_an_arm_is_left_out_and_known_as_it_was(pair):
     cell, left, right = pair
     before_m, look = left.middle_m.copy(), glance(cell)
@@ -230,6 +232,7 @@ def test_cups_before_the_arms_are_seen_whole_and_one_behind_an_arm_is_left_out_a
     np.testing.assert_array_equal(left.middle_m, before_m)
 
 
+@pytest.mark.slow
 def test_a_cup_behind_one_that_an_arm_holds_is_left_out_and_known_as_it_was(pair):
     """The right cup is in the left hand, which has taken it around its middle."""
     cell, left, right = pair

@@ -46,6 +46,7 @@ def apart(one, other):
     return np.linalg.norm(np.subtract(one.position_m, other.position_m)), 2 * np.arccos(min(1.0, turn))
 
 
+@pytest.mark.slow
 def test_where_some_angles_bring_the_hand_angles_are_found(kinematics):
     rng = rng_of()
     for _ in range(30):
@@ -60,6 +61,7 @@ def test_where_some_angles_bring_the_hand_angles_are_found(kinematics):
         assert (np.abs(found - truth)[kinematics.is_endless] <= np.pi + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_most_of_the_table_is_in_reach_from_above_and_what_is_far_away_is_not(kinematics):
     rng = rng_of(2)
     begins = [angles_of(rng) for _ in range(8)]

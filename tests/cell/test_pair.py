@@ -100,6 +100,7 @@ def drawn(model, rng, arm, num):
     return found
 
 
+@pytest.mark.slow
 def test_spaces_that_do_not_meet_are_of_arms_that_keep_their_distance(model, parts):
     outlines, rng, near_m = [Outline(model, robot) for robot in ROBOTS], np.random.default_rng(0), []
     for angles in zip(drawn(model, rng, 0, 80), drawn(model, rng, 1, 80), strict=True):
@@ -181,6 +182,7 @@ def assert_home_with_nothing_in_hand(cell):
     np.testing.assert_allclose(cell.cell.angles_rad(LEFT), LEFT.home_rad, atol=0.02)
 
 
+@pytest.mark.slow
 def test_whose_hand_closed_on_nothing_goes_home_all_the_same(cell, monkeypatch):
     monkeypatch.setattr("halfseen.cell.fetching.feels", lambda *_: False)
     attempt, asked = told(cell, cell.washing(0, 0), {1})
@@ -191,6 +193,7 @@ def test_whose_hand_closed_on_nothing_goes_home_all_the_same(cell, monkeypatch):
     assert_home_with_nothing_in_hand(cell)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("work", "phase", "is_held", "lifts", "num_glances", "why"),
     [

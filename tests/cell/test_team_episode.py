@@ -107,6 +107,7 @@ class Parking:
         return surely(np.where(is_lift, actions.encode(Verb.LIFT, 0), FINISH).astype(np.int32))
 
 
+@pytest.mark.slow
 def test_who_parks_has_left_what_is_dirty_in_its_own_reach(tmp_path):
     """Two cups for the left arm alone, one that both reach, one for the right arm alone."""
     cell = two_arm_cell((-0.30, 0.0), (-0.30, 0.15), (0.0, 0.1), (0.30, 0.0))
@@ -119,6 +120,7 @@ def test_who_parks_has_left_what_is_dirty_in_its_own_reach(tmp_path):
     assert [agent_view(logs, arm).stages["reward"].tolist() for arm in (0, 1)] == [[share] for share in shares]
 
 
+@pytest.mark.slow
 def test_a_lift_costs_an_arm_of_two_what_it_costs_one_that_is_agent_view(tmp_path):
     """Its time until it is home; the look afterwards is nobody's."""
     run, logs = played(two_arm_cell((-0.26, 0.0)), tmp_path, Parking(is_to_lift=True))
@@ -143,6 +145,7 @@ def test_reward_and_luck_are_booked_together_when_a_stage_is_completed(monkeypat
     assert account.pay(is_over=False) == (0.0, [0.0, 0.0])
 
 
+@pytest.mark.slow
 def test_an_arm_that_found_nothing_in_reach_is_asked_again_when_the_other_has_been_there(tmp_path, monkeypatch):
     washing = Workcell.washing
 
@@ -177,6 +180,7 @@ class Passing:
         return surely(np.int32(action))
 
 
+@pytest.mark.slow
 def test_what_one_arm_has_put_back_the_other_takes_at_the_same_clock(tmp_path, monkeypatch):
     def lifting(cell, number, arm):
         yield Rest(0.1 + arm)
@@ -192,6 +196,7 @@ def test_what_one_arm_has_put_back_the_other_takes_at_the_same_clock(tmp_path, m
     assert stages["elapsed_s"].iloc[2] == stages["elapsed_s"].iloc[3]
 
 
+@pytest.mark.slow
 def test_what_cuts_a_cell_cuts_the_table_of_a_team(tmp_path):
     run, logs = played(two_arm_cell(*PLACES_M, stops=Stops(1e9, 1e9, camera_lost_per_s=0.2)), tmp_path)
     assert run.cause == SENSOR_LOST

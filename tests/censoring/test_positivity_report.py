@@ -170,6 +170,7 @@ def test_a_mean_weight_other_than_one_is_told(time, is_finished, model, mean_wei
     assert report.ends_in_cut == (not is_finished[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["sound", "thin", "not identified", "all cut", "none cut", "one trajectory"])
 def test_the_figure_says_the_verdict_and_shows_every_trajectory(case):
     report = positivity_report(*CASES[case])

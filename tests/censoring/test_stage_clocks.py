@@ -232,6 +232,7 @@ def test_a_last_stage_may_end_a_rounding_after_its_trajectory():
     np.testing.assert_allclose(stage_weights(clock, end_s, [True, False, True]), whole)
 
 
+@pytest.mark.slow
 def test_the_event_by_tau(rounded):
     tick_s = rounded[TICKS == 10].min() / 10
     some = slice(0, 40)

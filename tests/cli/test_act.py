@@ -57,6 +57,7 @@ def state(folder, name="state.json", text='{"x1": 0.4, "x2": 1}'):
     return folder / name
 
 
+@pytest.mark.slow
 def test_a_decision_on_named_actions_loads_no_compiler_and_no_perception(flat, tmp_path):
     words = ["act", str(flat), str(state(tmp_path)), "--stage", "1"]
     code = "import sys\nfrom halfseen.cli import main\nmain()\nprint(*sys.modules)"

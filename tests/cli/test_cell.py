@@ -23,6 +23,7 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 RUN = ["run", "--policy", "greedy", "--tables", "2"]
 
 
+@pytest.mark.slow
 def test_attempts_of_a_law_are_fitted_again_as_they_were_made(typed, tmp_path, monkeypatch):
     fitted = []
 
@@ -74,6 +75,7 @@ def six(tmp_path):
     return tmp_path / "six.xml"
 
 
+@pytest.mark.slow
 def test_an_arm_is_known_by_what_it_is_not_by_where_its_file_lies(six, tmp_path):
     (tmp_path / "else").mkdir()
     (tmp_path / "else" / "six.xml").write_text(SIX)

@@ -38,6 +38,7 @@ def test_every_verb_takes_quiet_shows_an_example_and_says_what_each_option_is(tr
     assert [param.name for param in command.params if isinstance(param, click.Option) and not param.help] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [

@@ -152,6 +152,7 @@ def judged(tmp_path_factory):
     return judged
 
 
+@pytest.mark.slow
 def test_says_the_answer_and_where_the_page_is_and_the_same_again(judged, tmp_path):
     arguments = [judged / "logs", judged / "policy", "--replicates", 4, "--seed", 2]
     first = reported(*arguments, "--out", tmp_path / "a.html")
@@ -177,6 +178,7 @@ def test_says_the_answer_and_where_the_page_is_and_the_same_again(judged, tmp_pa
     assert numbers["seed"] == 2
 
 
+@pytest.mark.slow
 def test_the_page_is_against_whom_it_is_told(judged, tmp_path):
     sequence = "sequence:" + ",".join([ACTIONS[0]] * 2)
     arguments = [judged / "logs", judged / "policy", "--replicates", 4, "--against", sequence, "--against", "logging"]
@@ -188,6 +190,7 @@ def test_the_page_is_against_whom_it_is_told(judged, tmp_path):
     assert f"--against {shlex.quote(sequence)} --against logging --replicates 4" in page
 
 
+@pytest.mark.slow
 def test_without_a_policy_the_page_is_of_the_log(judged, tmp_path):
     told = reported(judged / "logs", "--out", tmp_path / "a.html", "--unit", "parts")
     answer, place = told.stdout.splitlines()

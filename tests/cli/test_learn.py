@@ -115,6 +115,7 @@ def test_one_seed_same_policy_and_what_is_there_stays(folder, tmp_path):
     assert {file.name: file.read_bytes() for file in (tmp_path / "policy").iterdir()} == before
 
 
+@pytest.mark.slow
 def test_what_to_try_is_written_for_serve_and_the_best_guess_on_request(tmp_path):
     _trial(300).write(tmp_path / "logs")
     arguments = (tmp_path / "logs", "--out", tmp_path / "policy", "--exploration", tmp_path / "try.csv")
@@ -129,6 +130,7 @@ def test_what_to_try_is_written_for_serve_and_the_best_guess_on_request(tmp_path
     assert report["learner"]["pessimism"] == report["verdict"]["caution"] * best["learner"]["pessimism"]
 
 
+@pytest.mark.slow
 def test_a_table_that_names_nothing_to_try_is_noted(folder, tmp_path):
     arguments = (folder / "tables", "--out", tmp_path / "policy", "--horizon", 3, "--reg", 0.1)
     report = json.loads(run(*arguments, "--exploration", tmp_path / "try.csv", "--json", has_verdict=True).stdout)
@@ -210,6 +212,7 @@ def test_many_stages_are_read_in_passes_and_few_are_not(folder, tmp_path, monkey
         stream.opened(tmp_path / "csv", streaming=True)
 
 
+@pytest.mark.slow
 def test_a_verdict_on_some_of_the_trajectories_says_so(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(held_out, "MOST_JUDGED", 30)
     arguments = (folder / "flat", "--out", tmp_path / "policy", "--reg", 0.1, "--streaming", "--json")

@@ -82,6 +82,7 @@ def stained(tmp_path) -> Path:
     return tmp_path / "stained.pcd"
 
 
+@pytest.mark.slow
 def test_colour_tells_what_looks_dirty_and_labels_of_a_file_stand_before_it(stained, table, tmp_path):
     lines = run(stained).output.splitlines()
     assert lines[2].endswith("in view  label  P(dirty)")
@@ -103,6 +104,7 @@ def test_colour_tells_what_looks_dirty_and_labels_of_a_file_stand_before_it(stai
         assert told[1]["share_in_view"] == 0.9
 
 
+@pytest.mark.slow
 def test_a_picture_takes_the_place_of_a_file_where_that_is_said_and_of_no_pipe(refused, table, tmp_path):
     folder = tmp_path / "pictures"
     folder.mkdir()
@@ -151,6 +153,7 @@ def test_any_number_of_processes_prints_the_same(typed, folder):
     assert typed("look", folder, "--json", "--workers", 2) == typed("look", folder, "--json", "--workers", 1)
 
 
+@pytest.mark.slow
 def test_a_bad_cloud_stops_no_other_and_each_is_named(typed, refused, folder, tmp_path):
     (folder / "bad.ply").write_bytes(b"nonsense")
     status, out, err = typed("look", folder, folder / "missing.pcd", "--workers", 1)
@@ -182,6 +185,7 @@ def by_hand(occlusion, says_dirty, prior=0.6):
     return prior * if_dirty / (prior * if_dirty + (1.0 - prior) * if_clean)
 
 
+@pytest.mark.slow
 def test_every_door_shows_one_probability_and_a_pattern_tells_nothing(coloured, tmp_path):
     cloud, view = coloured
     look = first_look(view, cloud)
@@ -218,6 +222,7 @@ def test_without_colour_or_file_all_stand_at_the_prior_and_a_file_counts_without
 TABLE = table_paths()[7]
 
 
+@pytest.mark.slow
 def test_a_cloud_with_a_policy_is_written_as_a_page_and_a_picture(typed, house, tmp_path):
     html, gif = tmp_path / "out.html", tmp_path / "out.gif"
     done = typed("watch", TABLE, "--policy", house / "table-policy", "--export", html, "--export", gif)

@@ -50,6 +50,7 @@ def test_no_alarm_is_told_with_what_is_not_watched_and_status_0(folders):
     assert any(line.startswith("note: nothing was promised") for line in lines)
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_filled_in_as_where_the_policy_was_learned(tmp_path):
     rule = {"x": "median+flag"}
     logs = holed(clinic(0), columns=("x",), missing=rule)
@@ -143,6 +144,7 @@ def test_a_log_that_grows_is_followed_until_the_alarm(folders, tmp_path, monkeyp
     assert answers[-1].startswith("Alarm")
 
 
+@pytest.mark.slow
 @in_browser
 @PAGES
 def test_the_page_can_be_heard_and_read_on_a_phone(folders, tmp_path, width_px, scheme):
@@ -177,6 +179,7 @@ def record_of(policy):
     return json.loads((policy / "policy.json").read_text())
 
 
+@pytest.mark.slow
 def test_a_change_is_told_with_the_command_that_takes_only_what_still_holds(folder, tmp_path):
     result = shell.run("learn", folder / "both", "--out", tmp_path / "policy", *LEARN)
     lines = result.output.splitlines()
@@ -190,6 +193,7 @@ def test_a_change_is_told_with_the_command_that_takes_only_what_still_holds(fold
     assert read_policy(tmp_path / "policy").record["log"]["num_trajectories"] == 250 - int(since)
 
 
+@pytest.mark.slow
 def test_all_is_used_until_one_says_so_and_the_doubt_is_kept(folder, tmp_path):
     report = shell.report("learn", folder / "both", "--out", tmp_path / "policy", *LEARN)
     log = report["log"]

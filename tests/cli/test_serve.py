@@ -68,6 +68,7 @@ def test_a_controller_without_python_gets_decisions_and_makes_the_next_log(polic
     assert logs.stages["reward"].dropna().tolist() == [2.0]
 
 
+@pytest.mark.slow
 def test_a_token_comes_from_the_environment_what_is_no_http_harms_nobody_and_ctrl_c_ends_it_without_a_word(policy):
     with served(policy, HALFSEEN_TOKEN="a-token-that-is-long") as (process, client):
         assert client.get("/health").status_code == 401
@@ -107,6 +108,7 @@ def test_a_server_that_begins_again_has_its_log_watched_at_once(policy, tmp_path
             time.sleep(0.01)
 
 
+@pytest.mark.slow
 def test_a_comparison_survives_kill_9_and_says_when_its_verdict_changes(policy, tmp_path):
     (tmp_path / "rule.csv").write_text("action\nA\n")
     words = (policy, "--record", tmp_path / "logs", "--against", tmp_path / "rule.csv", "--share", "0.5", "--seed", "1")
@@ -156,6 +158,7 @@ def recording(*arguments):
             other.kill()
 
 
+@pytest.mark.slow
 def test_a_program_speaks_over_a_pipe_and_each_line_is_answered_at_once(tmp_path):
     with recording("--out", tmp_path / "logs", "--fsync", "stage", "--reward-unit", "parts") as other:
         for call in LINES[:3]:
@@ -170,6 +173,7 @@ def test_a_program_speaks_over_a_pipe_and_each_line_is_answered_at_once(tmp_path
     assert (logs.is_finished.tolist(), logs.reward_unit) == ([True], "parts")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_port", [True, False])
 def test_a_program_speaks_over_a_socket_and_ctrl_c_cuts_the_trajectory_in_progress_as_the_operator_does(
     tmp_path, is_port

@@ -55,6 +55,7 @@ def test_one_seed_same_logs_and_json_for_programs(recorded, tmp_path):
 FEW = ["--episodes", 40, "--horizon", 3, "--cut-share", 0.4, "--seed", 3]
 
 
+@pytest.mark.slow
 def test_simulate_records_what_the_library_does(house, tmp_path):
     world = TableWorld.of(read_team(house / "two.toml"), WorldConfig(horizon=3))
     logs = read_logs(house / "team-logs")
@@ -72,6 +73,7 @@ def test_simulate_records_what_the_library_does(house, tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_a_cell_takes_the_policy_of_as_many_arms(house, learned):
     config, name = WorldConfig(horizon=3), str(house / "team-policy")
     stored = read_policy(name).policy
@@ -114,7 +116,12 @@ def test_learn_says_for_how_many_robots_and_keeps_it(house, learned):
     assert learned.stderr == ""
     stored = read_policy(house / "team-policy")
     assert (stored.num_robots, stored.horizon, stored.is_table) == (2, 6, False)
-    assert stored.verdict["sentence"] in lines
+
+
+@pytest.mark.slow
+def test_the_verdict_on_a_team_ends_what_learn_says_and_is_kept(house, tmp_path):
+    told = run("learn", house / "team-logs", "--out", tmp_path / "policy", "--reg", "0.1")
+    assert read_policy(tmp_path / "policy").verdict["sentence"] in told.stdout.splitlines()
 
 
 def test_learn_learns_what_the_library_does_and_counts_what_it_takes(house, learned, tmp_path):

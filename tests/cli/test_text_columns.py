@@ -56,6 +56,7 @@ def state(folder, name, text):
     return folder / name
 
 
+@pytest.mark.slow
 def test_learn_looks_at_text_and_says_what_it_leaves_out(folder):
     report = json.loads((folder / "learned.json").read_text())
     assert report["schema"]["covariates"] == ["x", "colour", "is_heavy"]
@@ -78,6 +79,7 @@ def test_learn_looks_at_text_and_says_what_it_leaves_out(folder):
         assert report["actions"][stage - 1]["as_logged"] == pytest.approx(np.mean(taken == rows["action"]))
 
 
+@pytest.mark.slow
 def test_a_column_that_is_asked_for_and_cannot_be_looked_at_is_refused(folder, tmp_path):
     arguments = ("learn", folder / "logs", "--out", tmp_path / "p", "--covariates")
     assert refusal(LogError, *arguments, "x,remark").startswith(
@@ -104,6 +106,7 @@ def test_act_takes_text_as_csv_or_json_and_tells_what_speaks_for_the_action(fold
     )
 
 
+@pytest.mark.slow
 def test_act_warns_of_a_category_that_this_stage_never_showed(folder, tmp_path):
     log = stamped(0)
     late = log.stages.assign(colour=log.stages["colour"].where(log.stages["stage"] == 2, "red"))
@@ -143,6 +146,7 @@ def test_codes_that_are_text_are_read_as_text(tmp_path):
         assert run("act", tmp_path / "policy", as_csv) == run("act", tmp_path / "policy", as_json)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("propensity", ["logged", "estimated"])
 def test_evaluation_is_that_of_indicators(propensity):
     def red(frame, stage):
@@ -187,6 +191,7 @@ def test_learn_and_evaluate_read_a_log_by_the_rules(logs, tmp_path):
         shell.run("inspect", logs)
 
 
+@pytest.mark.slow
 def test_evaluate_fills_in_what_the_policy_has_no_rule_for(logs, tmp_path):
     shell.run("learn", logs, "--out", tmp_path / "p", "--missing", "x=last", "--covariates", "x", *PLAIN)
     evaluated = ("evaluate", tmp_path / "p", "--logs", logs, "--json")

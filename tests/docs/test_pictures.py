@@ -63,6 +63,7 @@ DRAWN = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("picture", DRAWN)
 def test_a_picture_is_what_its_entry_draws(picture):
     assert are_alike(picture.path.read_bytes(), picture.draw()), picture.remedy
@@ -127,6 +128,7 @@ def test_below_a_film_stand_the_decisions_that_its_numbers_tell(picture):
     assert max(np.abs(strip - written[k]).max() for strip, k in zip(strips, seen, strict=True)) < 64, picture.remedy
 
 
+@pytest.mark.slow
 def test_pictures_are_alike_where_nobody_sees_a_difference():
     def a_line(height=1.0, words="a line"):
         def figure_of():

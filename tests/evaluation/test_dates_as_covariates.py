@@ -27,6 +27,7 @@ def found(logs, policy=ALWAYS_A, **options):
     return one.doubly_robust.value, one.fitted_q.value, one.difference.low
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"propensity": "estimated"}, {"censoring": "cox"}])
 def test_the_origin_of_a_covariate_changes_no_value(options):
     whole = found(moved(0.0), **options)
@@ -68,6 +69,7 @@ class Above:
         return np.column_stack([is_above, ~is_above]).astype(float)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("names", [["x1*x1"], ["x1*x1", "x1*x1'"], ["x1 less its mean"]])
 @pytest.mark.parametrize("origin", [0.0, 3e8])
 def test_a_column_with_the_name_of_a_term_keeps_its_values(names, origin):

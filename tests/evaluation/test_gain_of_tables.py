@@ -53,6 +53,7 @@ def test_stages_of_a_single_decision_are_counted():
     assert found.num_stages < 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_too_few_stages_of_a_single_decision_make_nothing_better(seed):
     logs = bandit(seed, 400)

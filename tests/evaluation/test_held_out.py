@@ -135,6 +135,7 @@ def test_what_helps_is_better_and_the_folds_are_pooled():
     assert (kept["verdict"], kept["comparisons"][0]["baseline"]) == ("better", "the logging policy")
 
 
+@pytest.mark.slow
 def test_an_action_that_the_log_does_not_have_changes_no_verdict():
     logs = log(3, num_trajectories=100, cut_rate=0.05)
     found, other = (
@@ -251,6 +252,7 @@ def test_more_caution_is_the_same_q_with_a_larger_margin_and_in_the_end_what_the
     assert more_cautious(fixed.policy_, 3.0) is fixed.policy_
 
 
+@pytest.mark.slow
 def test_the_claim_is_of_the_policy_that_is_kept():
     logs = trial(3, num_trajectories=400, cut_rate=0.05)
     learner = CensoredQLearner(2, ["A", "B"], ["x"]).fit(logs)
@@ -305,6 +307,7 @@ def test_what_is_still_to_be_recorded_is_said():
     assert more_trajectories(replace(one.needed, times=np.inf), 100).startswith("no log of practical size")
 
 
+@pytest.mark.slow
 def test_a_guess_of_which_nothing_is_known_says_why():
     logs = trial(4, num_trajectories=200)
     noise = Logs(logs.stages.assign(reward=np.random.default_rng(4).normal(size=logs.num_stages)), logs.trajectories)

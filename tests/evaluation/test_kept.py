@@ -176,6 +176,7 @@ def test_what_is_no_promise_is_refused(promise):
     converted({"value": None, "stages": PROMISED}, Promise)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("times", "words"),
     [

@@ -144,6 +144,7 @@ def test_on_a_table_the_rule_is_a_choice_among_all_objects():
     assert not (found.probabilities.astype(bool) & ~trajectories.is_possible).any()
 
 
+@pytest.mark.slow
 def test_the_seed_is_all_that_it_depends_on_and_where_one_trajectory_alone_has_a_say_there_is_still_an_answer():
     logs = logged(slanted, 60)
     first, _ = found_in(logs)
@@ -197,6 +198,7 @@ def test_second_order_terms_are_products_of_standardised_covariates():
     np.testing.assert_allclose(widened.stages[["x*v", "v*v"]], np.stack([x * v, v * v], axis=1))
 
 
+@pytest.mark.slow
 def test_cuts_widen_the_interval():
     cut, uncut = (
         evaluate(TARGET, trial(1, num_trajectories=300, cut_rate=rate), against="logging", **specified(BY_COX))
@@ -263,6 +265,7 @@ def test_no_other_shares_of_as_many_tries_leave_less_variance():
         assert left([shares[0] + moved, shares[1] - moved]) > left(shares)
 
 
+@pytest.mark.slow
 def test_regions_hold_states_in_which_the_policy_departs_from_the_log():
     found = explored(trial(0, num_trajectories=600, cut_rate=0.05))
     assert found.narrower > 1.0

@@ -45,6 +45,7 @@ def naive_forms(weight, states, is_fitted):
         yield np.array(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_the_mean_by_state_is_the_loop(seed):
     weight, states, is_fitted = rows(seed)
@@ -202,6 +203,7 @@ def test_a_mean_outside_is_moved_to_the_nearer_end():
     np.testing.assert_array_equal(Possible(-1.0, 3.0).moved_within(values), values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_no_interval_reaches_beyond_the_possible(seed):
     logs = trial(seed, num_trajectories=30, cut_rate=0.2)
@@ -291,6 +293,7 @@ def test_a_trajectory_of_one_stage_has_no_history():
     )
 
 
+@pytest.mark.slow
 def test_a_past_that_matters_is_found_and_then_products_weigh():
     given = problem(with_history(0), TARGET, num_folds=5)
     judged = given.judged(given.nuisances[:-1])

@@ -194,6 +194,7 @@ def by_threshold(seed, num_trajectories, exploring):
     return Logs(pd.DataFrame(stages), pd.DataFrame({"trajectory": rows, "end_s": end_s, "ending": "finished"}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_an_unlogged_rule_that_never_explores_makes_nothing_better(seed):
     # Above the threshold A pays more the lower x is, and a line through that is far off below, where A was not tried.

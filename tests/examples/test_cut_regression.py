@@ -189,6 +189,7 @@ def test_a_script_prints_and_draws_the_same_again(script, tmp_path):
     assert (again, figure.read_bytes()) == (first, drawn)
 
 
+@pytest.mark.slow
 def test_what_else_is_asked_for_changes_no_number():
     setting = Setting("linear", 1, "uniform", 0.5)
     few, more = compare([setting], [60], 1, 3, REG), compare([setting], [60, 80], 2, 3, REG)
@@ -197,6 +198,7 @@ def test_what_else_is_asked_for_changes_no_number():
     assert (more.sizes, more.num_repetitions) == ([60, 80], 2)
 
 
+@pytest.mark.slow
 def test_tiger_prints_the_exact_optimum_and_listens_until_it_is_sure(capsys):
     runpy.run_path(str(EXAMPLES / "tiger.py"), run_name="__main__")
     lines = capsys.readouterr().out.splitlines()

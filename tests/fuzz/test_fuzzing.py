@@ -30,11 +30,13 @@ def results(place):
     return {result.name: result for result in run(orders, place, limit_s=60.0)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", KEPT_FILES, ids=lambda file: file.stem)
 def test_what_failed_once_is_refused_or_right(results, file):
     assert faults([results[file.name]]) == {}
 
 
+@pytest.mark.slow
 def test_fresh_cases_are_refused_or_right(results):
     fresh = [results[str(number)] for number in range(SHORT)]
     assert faults(fresh) == {}

@@ -240,6 +240,7 @@ def test_many_actions_are_pooled_where_there_is_pessimism(num_actions, changed, 
     assert not CensoredQLearner.of_paper(1, [f"a{a}" for a in range(10)], ["x"]).compose().has_many_actions
 
 
+@pytest.mark.slow
 def test_policies_of_folds_are_learned_the_same_way():
     log = one_stage(0)
     folds = learn_by_folds(learner_of().fit(log), log, num_folds=2)

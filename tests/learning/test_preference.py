@@ -178,6 +178,7 @@ def test_a_log_too_short_to_hold_out_is_followed():
     assert with_preference(model, trajectories)[0].behaviour_weight == pytest.approx(2.0 * noise)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a_log_that_does_what_hurts_is_not_followed(seed):
     learner = CensoredQLearner(1, ACTIONS, ["x"]).fit(preferring(seed, pays=-3.0))

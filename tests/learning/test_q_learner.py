@@ -355,6 +355,7 @@ def test_learning_runs_in_one_thread(logs, monkeypatch):
     assert set(threads) == {1}
 
 
+@pytest.mark.slow
 def test_a_fit_of_named_actions_loads_what_it_needs():
     code = """
 import sys

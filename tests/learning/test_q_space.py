@@ -90,6 +90,7 @@ def learner_of(num_actions, covariates, **how):
     return CensoredQLearner(1, [f"a{k}" for k in range(num_actions)], covariates, **how)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("num_actions", "num_covariates", "num_texts", "is_linear"),
     [(16, 8, 0, False), (3, 20, 0, False), (16, 32, 0, True), (16, 8, 2, True)],
@@ -143,6 +144,7 @@ def learner(**changed):
     return CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], **changed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changed", "linear_hopes", "lead", "why"),
     [

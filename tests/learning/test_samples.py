@@ -35,6 +35,7 @@ def copied(logs, counts):
     return Logs(*tables)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stages", ["separate", "pooled"])
 def test_weights_are_copies_of_trajectories(stages):
     logs = flat_log(8, cut_after_s=8.0)
@@ -46,6 +47,7 @@ def test_weights_are_copies_of_trajectories(stages):
     np.testing.assert_allclose(recency_weights(8, 1.0), counts / counts.mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("censoring", ["kaplan-meier", "buckley-james", "auto"])
 def test_a_half_life_without_end_is_none(censoring):
     logs = flat_log(60)
@@ -57,6 +59,7 @@ def test_a_half_life_without_end_is_none(censoring):
     np.testing.assert_allclose(endless.weights_, plain.weights_)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("half_life", [20, "auto"])
 def test_a_log_in_parts_is_weighed_as_one_in_memory(tmp_path, half_life):
     logs = turning(160, 60)
@@ -126,6 +129,7 @@ def repeated(logs, counts):
     return Logs(*(frame.rename(columns={"name": "trajectory"}) for frame in frames))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "censoring",
     ["kaplan-meier", Weighted(Cox(ridge=1.0), by="pooled"), DoublyRobust(), "buckley-james"],

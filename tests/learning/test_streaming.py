@@ -136,6 +136,7 @@ def bits(learner):
     return [leaf.tobytes() for leaf in learner.q_functions_ if leaf is not None] + [learner.weights_.tobytes()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [DEFAULT, *OTHERS], ids=["default", "paper", "doubly robust by stage"])
 def test_one_worker_and_two_learn_the_same_bytes(known, tmp_path, options, monkeypatch):
     monkeypatch.setattr("halfseen.logs.folder.NUM_SHARDS", 3)
@@ -167,6 +168,7 @@ class Killing(KaplanMeier):
         return super().survival(u)
 
 
+@pytest.mark.slow
 def test_a_shard_of_a_killed_worker_is_summed_again(known, tmp_path, monkeypatch):
     monkeypatch.setattr("halfseen.logs.folder.NUM_SHARDS", 3)
     cloudpickle.register_pickle_by_value(sys.modules[__name__])

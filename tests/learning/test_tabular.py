@@ -219,6 +219,7 @@ def test_states_are_names_or_numbers(logs):
         learner_of(q_function="linear").fit(structs)
 
 
+@pytest.mark.slow
 def test_its_verdict_is_better_where_that_is_so_and_says_by_how_much(logs):
     few = held_out_verdict(learner_of().fit(logs), logs)
     assert few.verdict == "inconclusive"

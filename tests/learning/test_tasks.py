@@ -166,6 +166,7 @@ def test_an_action_that_was_cut_each_time_is_never_chosen(stages, censoring, q_f
     assert "(begun 20 times and cut each time)" in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stages", ["separate", "pooled"])
 def test_no_verdict_is_given_on_it(stages):
     logs, q = always_cut(horizon=2), QSpec(NamedActions(ACTIONS, ["x"]), stages=stages)

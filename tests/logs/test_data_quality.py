@@ -46,6 +46,7 @@ def tables():
     return sound_tables()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_sound_logs_raise_none(seed):
     assert found(sound_tables(seed=seed)) == {}
@@ -351,6 +352,7 @@ def test_trajectories_of_whole_steps_may_agree(tables):
     assert found(tables) == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("code", "lowest"), [(-1.0, 0.0), (-999.0, 0.0), (-9999.0, -50.0), (65535.0, 0.0)])
 def test_a_number_that_stands_for_nothing_is_told(tables, code, lowest):
     seen = tables["stages"]["distance"].clip(upper=20.0) + lowest

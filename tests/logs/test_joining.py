@@ -44,6 +44,7 @@ def one_trajectory(folder, name="p", **columns):
     return written(Logs(stages.assign(**kept), log(name).trajectories), folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trajectories_at_once", [3, 2_000])
 def test_nothing_is_lost(trajectories_at_once, tmp_path, monkeypatch):
     monkeypatch.setattr(joining, "TRAJECTORIES_AT_ONCE", trajectories_at_once)
@@ -72,6 +73,7 @@ def test_folders_of_other_forms_go_along_and_what_is_learned_is_the_same(tmp_pat
     np.testing.assert_array_equal(*(learner.q_functions_.coefficients for learner in learners))
 
 
+@pytest.mark.slow
 def test_what_was_compacted_goes_along_and_keeps_where_it_came_from(tmp_path):
     compact([one_trajectory(tmp_path / "a"), one_trajectory(tmp_path / "b")], tmp_path / "ab")
     compact([tmp_path / "ab", one_trajectory(tmp_path / "c", "q")], tmp_path / "abc")
@@ -108,6 +110,7 @@ def test_trajectories_that_are_being_recorded_are_left_out(tmp_path):
             compact([tmp_path / "live"], tmp_path / "none")
 
 
+@pytest.mark.slow
 def test_folders_that_do_not_go_together_are_refused(tmp_path):
     a, tables = one_trajectory(tmp_path / "a"), written(table_log(4), tmp_path / "t")
     for number, (columns, told) in enumerate(
@@ -148,6 +151,7 @@ def test_a_fault_in_the_middle_leaves_nothing(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b", "c"]
 
 
+@pytest.mark.slow
 def test_the_command_line_tells_how_many(tmp_path):
     folders = [str(one_trajectory(tmp_path / name)) for name in "abc"]
     told = CliRunner().invoke(convert, [*folders, "--out", str(tmp_path / "all")], catch_exceptions=False).stdout

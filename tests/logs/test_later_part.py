@@ -16,6 +16,7 @@ def dated(names=(5, 7, 9), zone=None):
     return log_of({"began": DAYS.tz_localize(zone)}, trajectory=list(names))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("when", "kept"),
     [("7", [7, 9]), (7, [7, 9]), ("5", [5, 7, 9]), ("2026-03-02", [7, 9]), (datetime(2026, 3, 2, 12), [9])],

@@ -101,6 +101,7 @@ LIES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LIES)
 def test_a_lie_is_found(name):
     kind, lie = LIES[name]
@@ -187,6 +188,7 @@ def test_the_number_of_a_row_is_no_covariate():
     }
 
 
+@pytest.mark.slow
 def test_no_verdict_rests_on_copies_unless_they_are_trusted():
     once = tables(500)
     stages, trajectories = (
@@ -210,6 +212,7 @@ def test_trajectories_of_a_coarse_clock_may_agree():
     assert not any(copied_trajectories(logs))
 
 
+@pytest.mark.slow
 def test_no_verdict_rests_on_probabilities_that_nobody_had_unless_they_are_trusted():
     stages, trajectories = tables(1000)
     honest, told = evaluated(stages, trajectories), evaluated(stages.assign(probability=0.8125), trajectories)

@@ -119,6 +119,7 @@ def test_an_address_of_this_machine_is_one(tmp_path):
     assert read_logs(f"file://{tmp_path}/logs").num_trajectories == flat_log().num_trajectories
 
 
+@pytest.mark.slow
 def test_they_are_learned_from_in_passes(store, tmp_path):
     words = [f"{store}/flat", "--out", str(tmp_path / "policy"), "--streaming", "--no-verdict", "--reg", "0.1"]
     result = CliRunner().invoke(learn, words, catch_exceptions=False)

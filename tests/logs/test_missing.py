@@ -133,6 +133,7 @@ def test_a_stream_gives_what_the_whole_gives(rule, trajectories_at_once, tmp_pat
     assert stream.stage_covariates == whole.stage_covariates
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1), rule=st.sampled_from([MEDIAN, LAST, "refuse", {"x": MEDIAN}]))
 @settings(max_examples=10, deadline=None)
 def test_with_nothing_missing_a_rule_changes_nothing(seed, rule):
@@ -141,6 +142,7 @@ def test_with_nothing_missing_a_rule_changes_nothing(seed, rule):
     pd.testing.assert_frame_equal(same.stages, logs.stages)
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.0, 0.9), rule=st.sampled_from([MEDIAN, LAST]))
 @settings(max_examples=10, deadline=None)
 def test_what_is_there_stays_and_what_was_filled_in_is_so_only_once(seed, share, rule):

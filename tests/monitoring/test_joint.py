@@ -36,6 +36,7 @@ def test_pairs_take_the_oldest_aside_and_a_change_of_the_correlation_alone_is_no
     assert betting.log_wealth(same.payoffs)[-1, 0] < np.log(20)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changed_from", [0, 150, 300])
 def test_a_change_of_the_correlation_alone_is_dated(changed_from):
     for seed in range(5):

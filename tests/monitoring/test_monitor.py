@@ -74,6 +74,7 @@ def test_a_healthy_cell_is_no_alarm_and_earns_what_it_does(stored):
     assert "0.85 was promised (0.7 to 1)" in found.sentence
 
 
+@pytest.mark.slow
 def test_rewards_beyond_what_the_log_had_are_said_at_either_end(stored):
     logs = cell(600, 1, policy=stored.policy)
     is_first = (logs.stages["trajectory"] < 9) & logs.stages["reward"].notna()
@@ -146,6 +147,7 @@ def test_swapped_columns_are_named(stored):
     assert {each.name for each in found.findings} >= {"x in stage 1", "z in stage 1"}
 
 
+@pytest.mark.slow
 def test_swapped_columns_that_are_distributed_alike_are_named_by_what_actions_bring(tmp_path):
     stored = learned(tmp_path / "policy", cell(500, 0, are_alike=True))
     assert monitored(stored, cell(400, 1, policy=stored.policy, are_alike=True)).alarm_at is None
@@ -265,6 +267,7 @@ def test_a_change_may_lie_before_the_first_stage_that_shows_it(stored):
     assert differs_at(part, 399) == (first, last + 1, first)
 
 
+@pytest.mark.slow
 def test_more_trajectories_take_nothing_back_and_one_in_progress_does_not_count(stored):
     logs = cell(400, 2, (0.9, 0.4), stored.policy)
     whole = monitored(stored, logs)

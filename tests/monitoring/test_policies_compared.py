@@ -191,6 +191,7 @@ def test_bounds_are_where_the_wealth_is_reached_and_hold_the_gain():
     assert bound(CountedTrajectories(*np.zeros((7, 0))), 0.05) == -np.inf
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [0.0, 0.3])
 def test_a_comparison_that_goes_on_stands_where_one_of_the_whole_stands(cut):
     courses, terms = drawn(30, np.random.default_rng(10), gain=0.8, cut=cut), Terms(0.5)

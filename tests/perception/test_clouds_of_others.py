@@ -24,6 +24,7 @@ def centroids(view: View) -> np.ndarray:
     return np.array([seen.centroid_m for seen in view.objects])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1])
 def test_what_reaches_the_end_of_a_cloud_without_a_grid_is_not_cut(number):
     """The uppermost points of these tables are those of a cup."""
@@ -38,6 +39,7 @@ def voxels(points, side_m):
     return np.stack([np.bincount(cube.ravel(), of_axis) for of_axis in points.T], axis=1) / np.bincount(cube)[:, None]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "thin",
     [

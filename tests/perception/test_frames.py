@@ -60,6 +60,7 @@ def plain(tmp_path_factory):
     return found, range_image(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("way", "pose"),
     [

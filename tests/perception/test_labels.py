@@ -90,6 +90,7 @@ def test_stains_are_told_from_every_glaze_in_light_and_shade(glaze, stain):
     assert told[~is_stained].sum() <= 2
 
 
+@pytest.mark.slow
 def test_stained_pixels_are_counted_as_geometry_has_them(table, surfaces, ideal, seen):
     picture, view = seen
     labels, pairs = StainCounter()(view, picture.cloud), matched(view, picture.truth)
@@ -104,6 +105,7 @@ def test_stained_pixels_are_counted_as_geometry_has_them(table, surfaces, ideal,
     assert max(counts) > 50
 
 
+@pytest.mark.slow
 def test_a_label_is_dirty_from_the_fewest_stained_pixels_on_and_a_share_in_view_falls_with_occlusion(seen):
     picture, view = seen
     labels = StainCounter()(view, picture.cloud)

@@ -30,6 +30,7 @@ def walls_of(kind, sets):
     return LyingWalls.of(sets, middles, 0.0005, 0.005)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @settings(deadline=None, max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))

@@ -149,6 +149,7 @@ def far(metres, points):
     return moved
 
 
+@pytest.mark.slow
 def test_a_single_pixel_far_off_changes_no_object_and_asks_for_no_memory():
     cloud = read_cloud(table_paths()[0])
     plain = perceive(cloud)
@@ -189,6 +190,7 @@ def test_what_falls_into_too_many_pieces_is_refused_and_not_fitted_for_minutes(m
         perceive(read_cloud(table_paths()[4]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("cans", "options"),
     [

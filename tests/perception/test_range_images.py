@@ -83,6 +83,7 @@ def is_colour(pixels, place):
     return np.abs(pixels - wanted).max(axis=-1) < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("places_m", [[(0.0, 0.0)], [(-0.2, 0.0), (0.2, 0.1)], [(0.0, -0.15), (0.02, 0.2)]])
 def test_all_objects_are_within_the_frame_and_fill_it(places_m):
     view = perceive(draw(*(Can(*place) for place in places_m)).cloud)
@@ -178,6 +179,7 @@ def test_the_noise_of_a_table_is_measured_whatever_stands_there(factor):
         assert noise_factor(find_table(image), image) == pytest.approx(factor, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [2.0, 3.0, 4.0])
 def test_what_is_only_noise_is_no_object_and_no_can_is_several(factor):
     """At 4 there were five bumps on an empty table, and cans in pieces."""

@@ -37,6 +37,7 @@ FEW = GridGrasping(held_s=(1.0, 3.0), held_share=(0.25, 0.75), limit_s=3.0)
 ONE_TIME = GridGrasping(held_s=(1.0,), held_share=(1.0,), limit_s=3.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("config", "hides", "space"),
     [

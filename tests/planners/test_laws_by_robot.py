@@ -174,6 +174,7 @@ def test_rules_leave_to_the_other_what_they_never_hold():
     assert (np.asarray(trajectories.states.decider)[is_wash] == 1).any()
 
 
+@pytest.mark.slow
 def test_what_another_is_at_ends_as_its_own_law_says():
     world = world_of(None, replace(LOGISTIC, log_std=0.3))
     config = world.played_config

@@ -126,6 +126,7 @@ def test_what_a_policy_keeps_does_not_depend_on_whom_it_is_drawn_with():
     assert np.all(together.cell[together.mass[0] > 0] < 50)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("asked", "most"), [(GREEDY[1], 0.2), (UniformPolicy(), 1.2)], ids=["greedy", "lot"])
 def test_a_policy_asked_in_some_states_is_valued_right_on_average(asked, most):
     optimum = solve_table(THREE, CONFIG, 4)

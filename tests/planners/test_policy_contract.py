@@ -77,6 +77,7 @@ def test_it_is_a_record_that_comes_back_whole(policy, states, keys):
     np.testing.assert_array_equal(again.decide(states, keys).action, policy.decide(states, keys).action)
 
 
+@pytest.mark.slow
 @every_policy
 def test_the_tables_of_a_batch_do_not_know_of_each_other(policy, states, keys):
     together = policy.decide(states, keys).action

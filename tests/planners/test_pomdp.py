@@ -202,6 +202,7 @@ def test_with_two_steps_its_mean_is_what_is_expected_by_hand():
         assert error < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("config", [WorldConfig(horizon=6), replace(FITTED, horizon=6)], ids=["assumed", "fitted"])
 @pytest.mark.parametrize("who", ["history-penalty", "one-step", "uniform"])
 def test_its_mean_is_that_of_the_rewards_and_its_noise_is_less(config, who):

@@ -68,6 +68,7 @@ def of_team(config, states, keys):
     return found | {"action RolloutTeam": RolloutPolicy(config, by_rule, 16).decide(some, keys[:15]).action}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_planners_say_what_was_recorded(case):
     is_team, (*team, law) = case.startswith("team"), case.split("/")[:-1]

@@ -136,6 +136,7 @@ def test_what_was_learned_holds_how_sure_it_is(stored):
     assert f"best with a chance of {decision.chance_best[decision.action]:.0%}" in decision.reason
 
 
+@pytest.mark.slow
 def test_without_pessimism_nobody_knows(kept):
     policy = read_policy(kept / "flat")
     decision = decider_of(policy).decide(SEEN)

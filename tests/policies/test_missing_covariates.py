@@ -141,6 +141,7 @@ def test_act_fills_in_a_file(form, folder, tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_what_is_learned_in_passes_is_what_the_whole_teaches(logs, tmp_path):
     found = []
     for number, log in enumerate((read_logs(logs, missing=RULES), LogStream(logs, 9, missing=RULES))):

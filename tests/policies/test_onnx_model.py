@@ -48,6 +48,7 @@ def assert_alike(scores, action, wanted, chosen, margin, least_clear):
     np.testing.assert_array_equal(action[is_clear], chosen[is_clear])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", FLAT.values(), ids=FLAT)
 def test_it_decides_ten_thousand_states_alike(options, stored):
     rng, options = np.random.default_rng(0), dict(options)
@@ -92,6 +93,7 @@ def random_state(num_objects, horizon, rng):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", TABLES.values(), ids=TABLES)
 def test_it_decides_a_thousand_tables_alike(options, stored):
     """250 of each of the four kinds."""
@@ -105,6 +107,7 @@ def test_it_decides_a_thousand_tables_alike(options, stored):
     assert_alike(scores, action, wanted, wanted.argmax(axis=1), 1e-5, 0.9)
 
 
+@pytest.mark.slow
 def test_the_model_names_what_it_takes_and_gives_and_a_number_of_objects_is_for_tables(kept):
     flat, tables = (read_policy(kept / kind) for kind in ("flat", "tables"))
     named = {"actions": ["A", "B", "C"], "covariates": ["x1", "x2"], "horizon": 2}
@@ -134,6 +137,7 @@ def test_text_comes_as_an_indicator_of_each_category_but_the_first(stored):
     np.testing.assert_allclose(scores, policy.policy.scores(frame, 1), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_stage_that_is_none_and_nan_are_no_decision(kept, capfd):
     flat, tables = (onnxruntime.InferenceSession(onnx_model(read_policy(kept / kind))) for kind in ("flat", "tables"))
     states = np.array([[0.3, 1.0], [np.nan, 1.0]])

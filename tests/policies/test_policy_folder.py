@@ -34,6 +34,7 @@ from refusals import refused_type
 HIDES = np.array([[0.0, 0.3, 0.9], [0.0, 0.0, 0.0], [0.2, 0.1, 0.0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("q_function", "stages", "pessimism"),
     [("linear", "separate", 0.0), ("linear", "pooled", 2.0), ("kernel", "separate", 2.0)],
@@ -72,6 +73,7 @@ def test_a_policy_of_tables_comes_back_to_the_last_bit(logs, tmp_path, parameter
     assert len(set(q.argmax(axis=1))) > 1
 
 
+@pytest.mark.slow
 def test_a_policy_that_looks_at_text_comes_back_with_its_categories(kept, logs, fitted):
     stored, stages = read_policy(kept / "text"), logs["text"].stages
     assert stored.policy.categories == {"colour": ("blue", "green", "red")}
@@ -245,6 +247,7 @@ def of_laws(policy):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["model", "mended", "look alone", "never lifts", "rule", "rule of the log", "other laws"]
 )

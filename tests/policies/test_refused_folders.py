@@ -30,6 +30,7 @@ from halfseen.policies.folder.stored import kind_named
 from halfseen.world import UniformPolicy
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
 def test_any_byte_changed_or_cut_off_is_noticed(written, name):
     whole, rng = (written / name).read_bytes(), np.random.default_rng(0)
@@ -189,6 +190,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "edit", "message"), [(kind, *case) for kind, cases in REFUSED.items() for case in cases]
 )
@@ -204,6 +206,7 @@ def places(of, at=()):
     return [place for key in keys for place in [(*at, key), *places(of[key], (*at, key))]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["flat", "laws"])
 def test_nonsense_anywhere_in_the_schema_is_refused_or_harmless(copied, kind):
     """No other error than a PolicyError comes of it, whatever stands where."""

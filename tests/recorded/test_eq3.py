@@ -61,6 +61,7 @@ def cell():
     return fitted("cell/auto")
 
 
+@pytest.mark.slow
 def test_bootstrap_draws_are_what_was_recorded(cell):
     again = bootstrap(cell, read_logs(FOLDERS["cell"]), 20)
     found = np.asarray(again.replicates.coefficients) * signs_of(cell, recorded()["cell/auto/coefficients"])

@@ -113,6 +113,7 @@ def test_returns_come_from_the_range_only_and_grazing_rays_are_lost(depth_m, ang
     assert share == pytest.approx(lost, abs=0.01 if angle_deg else 0.0)
 
 
+@pytest.mark.slow
 def test_disparity_comes_in_eighths_of_a_pixel_the_nearest_without_noise(picture):
     focal_px = picture.cloud.intrinsics[0, 0]
     eighths = 8 * focal_px * XTION.baseline_m / picture.depth_m[np.isfinite(picture.depth_m)]

@@ -119,6 +119,7 @@ def test_gap_between_two_straight_cups_and_fallen_means_off_the_vertical():
 
 
 # What a picture shows, and the truth
+@pytest.mark.slow
 def test_cloud_is_the_depth_image_lifted(picture):
     cloud, depth_m = picture.cloud, picture.depth_m
     assert cloud.shape == (480, 640)
@@ -177,6 +178,7 @@ def test_pairs_agree_with_pictures_of_pairs(table, picture):
         assert picture.truth.hides[i, j] == pytest.approx(expected, abs=3 / alone_px)
 
 
+@pytest.mark.slow
 def test_the_truth_agrees_with_the_full_picture_and_with_itself(table, picture):
     """But for a pixel or two: contact lets a cup sink into the table by some 0.01 mm, which the full picture shows."""
     truth, view, lone_m = picture.truth, table_view(table, XTION.baseline_m), lone_depths_m(table)
@@ -191,6 +193,7 @@ def test_the_truth_agrees_with_the_full_picture_and_with_itself(table, picture):
         assert np.isfinite(lone_m[index, round(row), round(column)])
 
 
+@pytest.mark.slow
 def test_what_was_seen_of_the_last_table_is_kept_and_cannot_be_changed(table):
     views = [table_view(each, XTION.baseline_m) for each in (table, read_table(3))]
     assert views[0] is views[1]

@@ -132,6 +132,7 @@ def alarm(flat, tmp_path_factory):
         return watch.found, asked.get("/"), asked.get("/state").json(), logs
 
 
+@pytest.mark.slow
 def test_what_the_monitor_found_is_told_first(alarm, flat):
     found, page, state, logs = alarm
     text = check_page(page).replace("&#39;", "'")
@@ -166,6 +167,7 @@ def test_a_log_is_looked_at_where_there_is_news_and_not_too_often(flat, tmp_path
     assert said == ["Look 2."]
 
 
+@pytest.mark.slow
 def test_a_policy_is_watched_by_what_it_decided_itself(flat, tmp_path, monkeypatch):
     folder, logs = shutil.copytree(flat, tmp_path / "policy"), tmp_path / "logs"
     monkeypatch.setattr(Watch, "_asked", lambda watch: found_of(folder, logs, watch.digest))
@@ -203,6 +205,7 @@ def test_a_policy_is_watched_by_what_it_decided_itself(flat, tmp_path, monkeypat
         assert monitored(read_policy(one), read_logs(logs)).num_trajectories == (3 if one == flat else 1)
 
 
+@pytest.mark.slow
 def test_a_log_that_cannot_be_watched_is_told_once(flat, tmp_path):
     said = []
     with Watch(flat, tmp_path / "nowhere", every_s=0.0, say=said.append) as watch:
@@ -214,6 +217,7 @@ def test_a_log_that_cannot_be_watched_is_told_once(flat, tmp_path):
     assert said[0].startswith("The log is not monitored: ")
 
 
+@pytest.mark.slow
 def test_the_log_is_watched_in_a_process_of_its_own(flat, tmp_path):
     with client_of(flat, tmp_path / "logs") as asked:
         run(asked, np.random.default_rng(0), 3)
@@ -225,6 +229,7 @@ def test_the_log_is_watched_in_a_process_of_its_own(flat, tmp_path):
     assert "nowhere" in found_of(flat, tmp_path / "nowhere")["error"]
 
 
+@pytest.mark.slow
 @in_browser
 @PAGES
 def test_the_page_can_be_heard_and_read_on_a_phone(alarm, tmp_path, width_px, scheme):

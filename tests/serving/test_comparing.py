@@ -47,6 +47,7 @@ def test_a_log_that_cannot_be_read_is_no_beginning(cell, tmp_path, monkeypatch):
         cell()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_clocked", [True, False])
 def test_the_log_says_which_arm_with_which_chance_and_a_server_that_begins_again_goes_on(cell, tmp_path, is_clocked):
     rng = np.random.default_rng(0)
@@ -71,6 +72,7 @@ def test_the_log_says_which_arm_with_which_chance_and_a_server_that_begins_again
     assert live == compared.standing == standing(first, compared.terms)
 
 
+@pytest.mark.slow
 def test_probabilities_are_those_of_both_arms_together(cell, tmp_path, flat):
     rng = np.random.default_rng(1)
     _, _, client = cell(epsilon=0.2)

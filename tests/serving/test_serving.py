@@ -122,6 +122,7 @@ def test_with_a_token_only_who_has_it_is_answered_and_what_is_too_large_is_refus
         assert client.post("/decide", json=SEEN).status_code == 200
 
 
+@pytest.mark.slow
 def test_what_is_decided_becomes_a_log_with_probabilities(flat, tmp_path):
     folder, rewards, taken = tmp_path / "logs", [], []
     with client_of(flat, folder, epsilon=0.4) as client:
@@ -203,6 +204,7 @@ def test_what_cannot_be_recorded_is_not_decided(flat, tmp_path):
     assert len(read_logs(tmp_path / "logs").stages) == 2
 
 
+@pytest.mark.slow
 def test_a_draw_is_as_likely_as_it_says(flat):
     with client_of(flat, epsilon=0.5) as client:
         told = [client.post("/decide", json=SEEN).json() for _ in range(160)]

@@ -127,6 +127,7 @@ def checked_stage(logs, seen, told):
     return rows
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_what_is_recorded_is_what_was_decided_in(tables, shows, tmp_path, seed):
     """Stage by stage: the state by the log before and the cloud, the decision, the log after, and a naive account."""
@@ -166,6 +167,7 @@ def test_what_is_recorded_is_what_was_decided_in(tables, shows, tmp_path, seed):
                 break
 
 
+@pytest.mark.slow
 def test_where_nobody_says_what_held_it_is_taken_as_act_takes_it(recorded, tables, shows, tmp_path):
     table, folder, done = list(CANS), tmp_path / "logs", ""
     for stage in range(1, HORIZON + 1):
@@ -206,6 +208,7 @@ def test_what_a_law_tells_of_looks_is_recorded(tables, shows, tmp_path):
     np.testing.assert_allclose(first, again, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_what_comes_into_view_has_a_name_of_its_own_and_keeps_it(recorded, shows, tmp_path):
     names = []
     for table in ([LEFT, MIDDLE], [LEFT, ELSEWHERE, MIDDLE], [ELSEWHERE, MIDDLE], CANS):

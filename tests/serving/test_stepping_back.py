@@ -217,6 +217,7 @@ def test_the_log_says_where_the_rule_decided_and_is_learned_from(flat, tmp_path)
     CensoredQLearner(logs.horizon, ["A", "B", "C"], ["x1", "x2"], reg=0.1).fit(logs)
 
 
+@pytest.mark.slow
 def test_what_was_served_is_evaluated_with_the_rules_decisions(flat, tmp_path):
     (tmp_path / "rule.csv").write_text("stage,action\n1,B\n,C\n")
     rng, served = np.random.default_rng(1), {"rule": tmp_path / "rule.csv", "stays_within": True}

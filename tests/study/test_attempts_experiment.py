@@ -68,6 +68,7 @@ def test_no_table_is_both_learned_from_and_held_out_and_every_repetition_has_its
     assert design.sizes(8) == (6,)
 
 
+@pytest.mark.slow
 def test_scores_are_those_of_attempts_that_were_held_out(pieces, tried):
     split, piece = TINY.split(np.unique(tried["trajectory"]), 5, 1), pieces.repetitions[1]
     learned = tried[tried["trajectory"].isin(list(split.learned[:12]))]
@@ -82,6 +83,7 @@ def test_scores_are_those_of_attempts_that_were_held_out(pieces, tried):
     assert piece["attempts"] == list(weight)
 
 
+@pytest.mark.slow
 def test_one_rate_stands_in_where_an_svm_cannot_be_fitted(tried):
     outcome = tried["succeeded"].astype("boolean")
     few = pd.concat([tried[outcome.fillna(False)], tried[(~outcome).fillna(False)].head(1)])
@@ -91,6 +93,7 @@ def test_one_rate_stands_in_where_an_svm_cannot_be_fitted(tried):
     assert predicted("rate", few, tried)[0] > 0.95
 
 
+@pytest.mark.slow
 def test_an_attempt_is_the_set_of_itself_and_of_those_before_it_at_the_same_object(tried):
     order = np.random.default_rng(0).permutation(len(tried))
     sets, rows = sets_of(tried.iloc[order], np.zeros(4), np.ones(4)), tried.to_dict("records")
@@ -189,6 +192,7 @@ def test_without_a_law_it_says_that_there_are_no_attempts():
     assert section.sentences[0].startswith("There are no attempts of a cell on which to test an SVM")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("gain", "told"),
     [

@@ -50,6 +50,7 @@ def test_nothing_written_overlaps_or_leaves_the_figure(experiment, lead):
                 assert min(across, along) < 2, (drawing.name, text, other_text)
 
 
+@pytest.mark.slow
 @BY_NAME
 def test_figures_are_whole_and_the_same_again(experiment):
     for drawing in example(experiment).section.drawings:
@@ -58,6 +59,7 @@ def test_figures_are_whole_and_the_same_again(experiment):
         assert ElementTree.fromstring(svg).tag == "{http://www.w3.org/2000/svg}svg"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lead", "verdict", "title"),
     [
@@ -88,6 +90,7 @@ def test_the_first_sentence_compares_on_the_same_episodes_and_every_hypothesis_i
     assert sum("(0.50 ms)" in each for each in words) >= len(REWARD.baseline_names)
 
 
+@pytest.mark.slow
 def test_planners_stand_as_far_from_what_was_learned_as_on_the_episodes_of_both_and_times_are_not_tested():
     _, pieces, tables, section = example(REWARD)
     figure1, table1 = tables["figure1"].set_index("policy"), tables["table1"]
@@ -180,6 +183,7 @@ def test_calibration_has_an_error_over_repetitions():
     assert row["se"] == pytest.approx(np.sqrt(6 / 5 * np.sum(residual**2)) / attempts.sum())
 
 
+@pytest.mark.slow
 def test_planners_that_play_in_few_repetitions_are_compared_on_those():
     setting, pieces, _, _ = example(REWARD, 30)
     few, design = list(pieces.repetitions), replace(REWARD, planned_repetitions=8)
@@ -198,6 +202,7 @@ def test_planners_that_play_in_few_repetitions_are_compared_on_those():
     assert "in 8 of" not in design.section(replace(setting, repetitions=8), alone).drawings[0].caption
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lead", "words"), [(3.0, "better than"), (-2.56, "about as well as"), (-6.0, "worse than")])
 def test_the_report_opens_with_what_each_way_brings_above_leaving_the_table(lead, words):
     setting, _, tables, section = example(REWARD, 30, lead=lead)

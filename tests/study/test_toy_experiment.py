@@ -107,6 +107,7 @@ def test_it_is_run_drawn_claimed_and_reported(folder):
     assert "http" not in page
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_made_again_to_the_same_bytes_and_more_repetitions_are_added(folder, copied, monkeypatch):
     kept, made, repeat = copied / "progress" / "coin", [], Coin.repeat
     monkeypatch.setattr(Coin, "repeat", lambda *given: (made.append(given[-1]), repeat(*given))[1])

@@ -99,6 +99,7 @@ def test_laws_are_fitted_as_they_were():
         assert {name: getattr(of, name) for name in numbers} == pytest.approx(numbers, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", [0, 1])
 def test_the_view_of_an_agent_is_what_it_was(robot):
     view, words = agent_view(read_logs(TEAM_LOG), robot), WORDS[f"alone/{robot}"]

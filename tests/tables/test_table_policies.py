@@ -74,6 +74,7 @@ def test_what_was_learned_beats_chance_and_what_it_watched(learner, scene):
         assert gain.mean() > 3.0 * gain.std() / np.sqrt(len(gain)), other
 
 
+@pytest.mark.slow
 def test_it_learns_the_same_from_the_same_log_whatever_the_names_of_objects(learner, logs):
     names = {k: f"cup {k}" for k in range(NUM_OBJECTS)}
     stages, objects = (table.assign(object=table["object"].map(names)) for table in (logs.stages, logs.objects))

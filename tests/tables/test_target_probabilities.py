@@ -87,6 +87,7 @@ def truth():
     return float(play_to_the_end(TEAM, layout_of(2, REACH), RULE, random.key_of(9), 6_000).reward.mean())
 
 
+@pytest.mark.slow
 def test_a_log_tells_what_another_rule_of_the_team_would_earn(truth):
     logs = log_of(ExploringPolicy(RULE, 0.4), 1_000, 0.2, seed=1)
     told = evaluate(RULE, logs, against=["logging", UniformPolicy()], censoring="kaplan-meier")
@@ -106,6 +107,7 @@ def test_intervals_of_a_teams_rule_cover(truth):
     assert sum(not one.doubly_robust.low <= truth <= one.doubly_robust.high for one in found) <= 3
 
 
+@pytest.mark.slow
 def test_a_policy_of_a_team_gets_a_verdict_from_its_log():
     logs = logged(played(TEAM, 60, seed=4, reach=REACH), 0.2)
     learner = CensoredQLearner.for_team(2, horizon=4, base=None, reg=0.1, censoring="kaplan-meier").fit(logs)

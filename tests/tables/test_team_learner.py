@@ -48,11 +48,13 @@ def test_it_earns_more_than_what_logged_it_and_than_chance(learned):
         assert gain.mean() > errors * gain.std(ddof=1) / np.sqrt(len(gain))
 
 
+@pytest.mark.slow
 def test_the_same_log_gives_the_same_policy(logs, learned):
     again = CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(logs).policy_
     assert_same(learned.policy_, again)
 
 
+@pytest.mark.slow
 def test_of_what_is_possible_it_leaves_each_alone_where_q_promises_more_by_the_caution(logs, learned):
     states, policy = states_of(logs, 10), learned.policy_
     assert policy.caution == pytest.approx(CAUTION * logs.stages["reward"].std(ddof=0), rel=1e-6)
@@ -74,6 +76,7 @@ def test_q_of_a_policy_is_not_lowered(logs):
     assert best.policy_.margin is not None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [{"grasp": BetaGrasp()}, {"q_function": "kernel"}], ids=["grasps", "kernel"])
 def test_a_team_takes_what_one_robot_takes(logs, given):
     logs = logs.select(logs.trajectory_ids[:60])
@@ -104,6 +107,7 @@ def test_a_base_that_is_none_of_this_team_is_refused(logs, base, error, told):
         CensoredQLearner.for_team(2, horizon=5, base=base).fit(logs)
 
 
+@pytest.mark.slow
 def test_q_is_of_the_best_policy_where_the_log_does_not_tell_each_robots_reward(logs):
     some = Logs(logs.stages.drop(columns="1_reward"), logs.trajectories, logs.objects)
     learner = CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(some)
@@ -178,6 +182,7 @@ def test_a_policy_of_another_number_of_robots_does_not_play(learned, num_robots)
         check_fits(policy, team_of(num_robots))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change", [{"action": "PUSH"}, {"object": None}], ids=["a verb that nobody knows", "a verb without its object"]
 )

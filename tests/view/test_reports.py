@@ -69,6 +69,7 @@ def words_of(page):
     return " ".join("".join(Reader(page).words).split())
 
 
+@pytest.mark.slow
 def test_it_tells_of_the_log_and_of_nothing_else():
     findings = find(None, hostile_log().in_unit(UNIT))
     page = page_of(findings, "halfseen report logs --seed 0")
@@ -196,6 +197,7 @@ def test_the_page_stands_alone_and_names_of_users_are_told_as_they_are_and_never
     assert [name for name in (*ACTIONS, *COVARIATES, CAUSE) if name not in "".join(read.words)] == []
 
 
+@pytest.mark.slow
 def test_the_same_findings_are_the_same_bytes_and_what_is_no_number_is_a_dash(findings, page, stored, logs):
     assert page_of(found(stored, logs, 4, 1), "halfseen report 'a <b>' policy --seed 1") == page
     (other, *_), _ = q_curves(stored, logs, 4, 2)
@@ -255,6 +257,7 @@ def test_curves_follow_q_with_the_rest_at_its_median_and_within_bands(findings, 
     assert np.quantile(states[COVARIATES[0]], [0.05, 0.95]) == pytest.approx(curve.values[[0, -1]])
 
 
+@pytest.mark.slow
 def test_a_policy_of_tables_is_told_by_its_verbs(tmp_path):
     logs = table_log()
     told = found(kept(CensoredQLearner.for_table(3, reg=0.1), logs, tmp_path / "policy"), logs)

@@ -145,6 +145,7 @@ def many_actions(tmp_path_factory):
     return found(kept(learner, logs, folder), logs, reward_unit=UNIT)
 
 
+@pytest.mark.slow
 def test_of_more_actions_than_colours_those_that_the_policy_takes_have_one(many_actions):
     taken = max(many_actions.policy.choices[0]["policy"].items(), key=lambda each: each[1])[0]
     assert taken.endswith("11")
@@ -152,6 +153,7 @@ def test_of_more_actions_than_colours_those_that_the_policy_takes_have_one(many_
     assert len(page_module._by_importance(many_actions.policy)) == 12
 
 
+@pytest.mark.slow
 def test_medians_of_many_covariates_are_not_listed(many_actions):
     page = page_of(many_actions, "x")
     assert "as logged for the dots." in page

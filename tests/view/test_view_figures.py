@@ -87,6 +87,7 @@ def test_many_trajectories_are_evenly_spaced_ones_of_each_way_to_end():
     assert told.end_s[: MOST_ROWS // 2].max() == pytest.approx(np.median(ends_s), abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_log_of_many_long_trajectories_is_a_small_drawing_without_names_of_trajectories():
     told = timeline(many(3000, num_stages=30))
     colours = action_colours(sorted(set(told.stages["action"])))
@@ -103,6 +104,7 @@ def choices(num_actions, counts=(800, 40, 3)):
     return [{"stage": stage, "num_states": count, **told} for stage, count in enumerate(counts, start=1)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("num_actions", [1, 2, 4, 7, 9, 10, 12])
 def test_every_cell_has_an_action_or_the_legend_and_few_states_are_small_and_hollow(num_actions):
     figure = draw_choices(choices(num_actions))
@@ -124,6 +126,7 @@ def test_every_cell_has_an_action_or_the_legend_and_few_states_are_small_and_hol
 LONG = ["the operator pressed the emergency stop", "a_collision_was_foreseen_by_the_guard_of_the_cell", "battery"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("num_finished", [2, 3000])
 def test_words_of_a_figure_lie_neither_over_one_another_nor_beyond_its_border(num_finished):
     causes = [f"{name} {k}" for k, name in enumerate((LONG * 3)[:7])]
@@ -188,6 +191,7 @@ def test_support_is_enough_states_nearby_by_a_loop(num_covariates):
     assert not supported(np.array(places), states[: FEWEST_NEAR - 1]).any()
 
 
+@pytest.mark.slow
 def test_objects_of_a_log_are_counted_by_what_the_policy_would_do_to_them(monkeypatch):
     monkeypatch.setattr("halfseen.view.policy_findings.FEWEST_OBJECTS", 1)
     logs = table_log(num_trajectories=60)
@@ -242,6 +246,7 @@ def test_what_may_well_be_the_best_has_a_bar_however_little_it_is_worth(tmp_path
     assert len(more) == MOST_BARS
 
 
+@pytest.mark.slow
 def test_what_is_said_stands_on_the_picture_and_bars_only_where_values_are_known(view, tmp_path):
     words = words_on(tmp_path / "d.svg", DECISION, view=view, stage=2, horizon=10)
     for told in ("LIFT 0", "stage 2 of 10", "61\u00a0%", "best", "0", "1", "2", "3", "4"):
@@ -261,6 +266,7 @@ def test_what_is_said_stands_on_the_picture_and_bars_only_where_values_are_known
     assert "value [reward]" not in " ".join(words_on(tmp_path / "d.svg", rule, view=view))
 
 
+@pytest.mark.slow
 def test_every_verb_and_an_object_that_is_not_seen_can_be_drawn_and_the_same_gives_the_same_bytes(view, tmp_path):
     for action in ("WASH 3", "FINISH", "PUSH 1"):
         draw_decision(replace(DECISION, action=action), tmp_path / "d.svg", view=view)

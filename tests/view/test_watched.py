@@ -131,6 +131,7 @@ def in_folder(view, tmp_path_factory):
     return Logs(logs.stages.assign(cloud="look.pcd"), logs.trajectories, logs.objects), folder
 
 
+@pytest.mark.slow
 def test_each_stage_shows_its_cloud_and_what_the_log_knew(in_folder):
     logs, folder = in_folder
     watched = watched_logs(logs, folder, 2)

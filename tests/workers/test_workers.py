@@ -67,6 +67,7 @@ def out_of_memory(number: int) -> int:
     raise MemoryError
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", ENGINES)
 def test_every_piece_comes_back_once_with_the_bits_of_one_process(workers):
     with Workers(1).ready() as alone, workers.ready() as pool:
@@ -110,6 +111,7 @@ def test_the_piece_of_a_killed_worker_is_made_again(workers, tmp_path):
     assert (tmp_path / "killed").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", WORKED)
 def test_a_piece_that_kills_every_worker_is_given_up(workers, monkeypatch):
     # They take long to come back.

@@ -134,6 +134,7 @@ def test_what_another_holds_up_hides_nothing():
     assert states[-1].lifts.tolist() == [0, 1, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drop_out_rate", [None, 0.0, 0.08])
 @pytest.mark.parametrize("num_robots", [1, 2, 3])
 @pytest.mark.parametrize("seed", range(6))

@@ -64,6 +64,7 @@ def test_it_is_registered_without_a_time_limit():
     assert isinstance(env.unwrapped, CupsEnv)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("team", "scene", "config"),
     [

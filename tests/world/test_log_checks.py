@@ -166,6 +166,7 @@ def test_two_robots_at_one_object_are_refused(frail):
     )
 
 
+@pytest.mark.slow
 @READERS
 @pytest.mark.parametrize(
     ("column", "value", "told"),
@@ -274,6 +275,7 @@ def test_a_prior_is_a_number(alone, kind):
     refuses(told, logged_dirty_share, Logs(alone.stages, trajectories, alone.objects))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["list", "struct", "bytes", "bool"])
 def test_what_robots_do_is_text(kind):
     logs = logged(played(team_of(2), 3), 0.0)

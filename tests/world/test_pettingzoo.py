@@ -72,6 +72,7 @@ def test_its_agents_are_the_table_of_the_one_agent_that_decides_for_all(options,
     assert not env.agents
 
 
+@pytest.mark.slow
 def test_who_drops_out_ends_alone_and_the_others_go_on():
     went_on = 0
     for seed in range(10):

@@ -23,6 +23,7 @@ ALONE = TableWorld()
 RULE = GreedyPolicy(WORLD.config, uses_history=True, counts_penalty=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["independent", "occlusion", "attempt"])
 def test_the_wanted_share_is_cut_and_one_cut_ends_the_table_for_all(kind):
     logs = WORLD.simulate(SCENES, UniformPolicy(), 300, seed=0, cut_share=0.5, cut_kind=kind)
@@ -44,6 +45,7 @@ def test_each_robot_touches_what_it_reaches_and_padding_is_nobodys():
     assert not np.asarray(layouts.workspace.is_near)[1, 2:].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("world", "kind", "cause"), [(WORLD, "occlusion", "sensor-lost"), (ALONE, "attempt", "operator")]
 )

@@ -203,6 +203,7 @@ def test_steps_do_what_was_recorded_of_them(name):
     assert num_checked > 15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in NAMES if name.endswith("uniform")])
 def test_a_rollout_draws_what_was_recorded(name):
     played = rollout.play(*_world(name), UniformPolicy(), KEY, EPISODES)

@@ -108,6 +108,7 @@ def team(request):
     return trajectories, logged(trajectories, 0.5)
 
 
+@pytest.mark.slow
 def test_a_log_of_a_team_tells_who_decided_by_one_clock_that_never_falls(team, tmp_path):
     trajectories, logs = team
     assert 0.2 < (logs.trajectories["ending"] == "cut").mean() < 0.8

@@ -70,6 +70,7 @@ def recorded(logs, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_log_of_a_team_is_recorded_as_it_was(logs, recorded):
     assert 0 < logs.cut_share < 1
     assert logs.trajectories[["0_out_s", "1_out_s"]].notna().sum().min() > 2

@@ -163,6 +163,7 @@ CVXPY = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("own", list(OWN))
 @pytest.mark.parametrize("has_offset", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_fit_is_the_optimum_that_cvxpy_finds(own, has_offset):

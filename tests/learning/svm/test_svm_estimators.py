@@ -42,6 +42,7 @@ Y = survival_array(TIME, IS_FINISHED)
 
 
 # A cast inside scikit-learn, of the infinite labels that it hands out to be refused.
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:invalid value encountered in cast:RuntimeWarning")
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.SkipTestWarning")
 @pytest.mark.parametrize(

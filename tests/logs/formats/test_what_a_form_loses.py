@@ -98,6 +98,7 @@ def check(form, tables, unit, folder):
             assert_back(logs, read(folder), {(loss.table, loss.column) for loss in losses(logs, form)})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("form", "most"), [("parquet", 15), ("csv", 20), ("minari", 8)])
 def test_what_is_not_lost_comes_back_and_what_is_refused_is_refused_by_the_writer(tmp_path_factory, form, most):
     @given(any_tables(), st.sampled_from([None, "Körbe"]))
@@ -108,6 +109,7 @@ def test_what_is_not_lost_comes_back_and_what_is_refused_is_refused_by_the_write
     check_any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 def test_each_type_comes_back_or_is_refused(tmp_path, form):
     tables, rng = small_tables(), np.random.default_rng(0)

@@ -298,6 +298,7 @@ def zeroed_pages(content, rng, page):
     return bytes(content[: rng.randint(len(content) // 2, len(content))]) if rng.random() < 0.3 else bytes(content)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("num_faults", "seed", "fewest_read"), [(12, 1, 4), pytest.param(200, 2, 80, marks=pytest.mark.slow)]
 )

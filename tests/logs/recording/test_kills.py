@@ -82,6 +82,7 @@ def check_kills(folder, num_kills, longest_s, seed):
     return num_torn
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("num_kills", "longest_s", "seed", "fewest_torn"),
     [(16, 0.02, 1, 1), pytest.param(400, 0.01, 2, 200, marks=pytest.mark.slow)],
@@ -94,6 +95,7 @@ def test_kills_lose_at_most_the_stage_in_progress(tmp_path, num_kills, longest_s
     assert int(done.stdout) > fewest_torn
 
 
+@pytest.mark.slow
 def test_one_folder_outlives_kills_and_another_process_is_refused_until_the_first_is_killed(tmp_path):
     num_trajectories = 0
     for _ in range(3):
@@ -185,6 +187,7 @@ def left_by(folder, at, elapsed_s):
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("cut", "elapsed_s"), [(interrupted, None), (interrupted, 1.0), (left_by, None)])
 @pytest.mark.parametrize("lines_apart", [61, pytest.param(1, marks=pytest.mark.slow)])
 def test_ctrl_c_at_any_line_leaves_recorder_and_folder_at_one(tmp_path, lines_apart, cut, elapsed_s):

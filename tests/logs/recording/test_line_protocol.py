@@ -113,6 +113,7 @@ CALL = st.sampled_from(sorted(CALLS)).flatmap(
 ODD = st.binary(max_size=9).map(lambda odd: odd.replace(b"\n", b"") + b"\n")
 
 
+@pytest.mark.slow
 @given(lines=st.lists(CALL | JSON | ODD, max_size=8))
 def test_whatever_lines_say_a_whole_trajectory_can_follow(tmp_path_factory, lines):
     folder = tmp_path_factory.mktemp("logs") / "logs"

@@ -49,6 +49,7 @@ def record_tables(folder, stages, trajectories, objects):
                 trajectory.cut(end["cause"], elapsed_s=end["end_s"])
 
 
+@pytest.mark.slow
 @given(valid_tables())
 @example(small_tables())
 def test_whatever_logs_take_a_recorder_takes(tmp_path_factory, tables):
@@ -179,6 +180,7 @@ def test_what_each_robot_brought_is_read_back_and_is_null_where_a_stage_was_cut(
 # One recorder after the other.
 
 
+@pytest.mark.slow
 @in_parts
 @pytest.mark.parametrize("given", [{}, THREE], ids=["one robot", "robots"])
 def test_a_folder_is_gone_on_with_after_a_crash(tmp_path, part_bytes, given):

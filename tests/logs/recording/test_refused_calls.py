@@ -134,6 +134,7 @@ ROBOTS = {
 WORLDS = {"alone": (ALONE, {}), "objects": (OBJECTS, {"objects": [CUP], "object": "cup"}), "robots": (ROBOTS, THREE)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", WORLDS)
 def test_what_no_log_takes_is_refused_in_one_line_and_harms_nothing(recorder, tmp_path, world):
     troubles, given = WORLDS[world]

@@ -102,6 +102,7 @@ def check_calls(folder, calls):
                 check_row(found, each)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("most", [60, pytest.param(500, marks=pytest.mark.slow)])
 def test_whatever_is_taken_is_read_back(tmp_path_factory, monkeypatch, most):
     monkeypatch.setattr("halfseen.logs.recorded.ROWS_A_CHUNK", 2)
@@ -140,6 +141,7 @@ def logs_of(decisions, ending):
     return log_of({"end_s": clock[-1] + 1.0, "ending": ending}, objects, stage=stage, x=1.0, **done)
 
 
+@pytest.mark.slow
 @settings(max_examples=15)
 @given(st.lists(DECISION, min_size=2, max_size=5))
 def test_a_stage_of_robots_is_refused_where_the_log_with_it_would_not_be_read(tmp_path_factory, decisions):

@@ -146,6 +146,7 @@ def log_of(episodes, config=FITTED, **options):
     return weighted_log(logs, states_alone(logs, HORIZON))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("config", [WorldConfig(), FITTED])
 def test_residuals_are_those_of_a_loop_over_stages(config):
     log = log_of(12, config)
@@ -196,6 +197,7 @@ def test_few_trajectories_reject_nothing():
     assert hotelling_test(residuals_of(FITTED, log_of(6)), 6).p_value == 1.0
 
 
+@pytest.mark.slow
 def test_the_learner_says_what_it_found_and_what_it_builds_on():
     logs = logs_of(120)
     learner = CensoredQLearner.for_table(HORIZON).fit(logs)

@@ -87,6 +87,7 @@ def test_it_learns_with_laws_unless_something_is_said_of_linear_q():
         CensoredQLearner.for_table(5, laws="mine")
 
 
+@pytest.mark.slow
 def test_the_same_log_gives_the_same_bytes_again_and_the_parameters_are_scikit_learns():
     logs = logs_of(30)
     learner = CensoredQLearner.for_table(HORIZON, random_state=4).fit(logs)
@@ -109,6 +110,7 @@ def test_few_logs_learn_more_than_linear_eq_3_does():
     assert (own - linear).mean() > 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "wrong",
     [

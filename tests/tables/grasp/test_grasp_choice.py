@@ -76,6 +76,7 @@ def by_hand(tried):
     return errors.T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("intercept", "slope"), [(6.0, 0.0), (3.0, 0.0), (1.5, -3.0)])
 def test_a_beta_is_taken_where_it_halves_the_error_of_held_out_attempts_beyond_noise(intercept, slope):
     tried = attempts_of(60, intercept, slope)

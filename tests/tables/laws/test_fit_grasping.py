@@ -117,6 +117,7 @@ def likelihood_of_object(family, law, rows):
     return quad(integrand, -end, end, points=[0.0], limit=400, epsabs=0.0, epsrel=1e-10)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", range(3))
 @BOTH
 def test_posterior_is_what_integrals_one_by_one_give(family, k):

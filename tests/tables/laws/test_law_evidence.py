@@ -211,6 +211,7 @@ def test_planners_plan_with_laws_of_the_other_families():
     assert np.isfinite(played.reward).all()
 
 
+@pytest.mark.slow
 def test_the_laws_are_those_of_the_world_where_it_takes_other_families():
     fitted = fit_world(logs_of(FITTED, episodes=1000), FITTED)
     for occlusion in (0.0, 0.5):
