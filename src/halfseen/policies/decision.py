@@ -246,8 +246,9 @@ def _draws(
 ) -> Float[np.ndarray, "B A"]:
     """Draws for all actions jointly, block by block in order."""
     is_of = [block_of_action == block for block in np.unique(block_of_action)]
-    # One normal number per action suffices, however many features a block has.
-    roots = [np.linalg.qr(deviations[these].T, mode="r") for these in is_of]
+    # One normal number per action suffices, however many features a block has; a number is its own root.
+    blocks = [deviations[these].T for these in is_of]
+    roots = [block if block.size == 1 else np.linalg.qr(block, mode="r") for block in blocks]
     # Actions are the first axis: the maximum of each draw is then as fast to find as that of whole columns.
     draws = np.empty((len(q), NUM_DRAWS)).T
     for these, root, normal in zip(is_of, roots, _normals(tuple(map(len, roots))), strict=True):
