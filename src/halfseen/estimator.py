@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from inspect import signature
+from math import isfinite
 from numbers import Real
 from typing import Any, TypeVar
 
@@ -100,8 +101,13 @@ def is_count(value: object) -> bool:
 
 
 def is_number(value: object) -> bool:
-    """Whether a value is a finite real number."""
-    return isinstance(value, Real) and not isinstance(value, bool) and bool(np.isfinite(float(value)))
+    """Whether a value is a real number that is finite as a float."""
+    if not isinstance(value, Real) or isinstance(value, bool):
+        return False
+    try:
+        return isfinite(value)
+    except OverflowError:  # a whole number of over 300 digits
+        return False
 
 
 def check_names(name: str, names: object) -> None:

@@ -181,6 +181,7 @@ BOTH = [True, True]
                 (([[1.0]], [True]), r"time has shape \(1, 1\)"),
                 (([1.0], [[True]]), r"is_finished has shape \(1, 1\)"),
                 ((["soon"], [True]), "time is not numeric"),
+                (([10**400], [True]), "time is not numeric"),
                 (([1.0, 2.0], [1, 2]), "is_finished, row 1: 2 is neither"),
                 (([1.0, 2.0], [True, None]), "is_finished, row 1: None is neither"),
                 (([1.0, 2.0], ["finished", "cut"]), "is_finished, row 0: 'finished' is neither"),

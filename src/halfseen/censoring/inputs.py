@@ -4,7 +4,6 @@ Covariates: a matrix or a table becomes a checked float64 matrix and its column 
 """
 
 from contextlib import suppress
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from halfseen.arrays import LEAST_RANGE, RowMask, Rows
 from halfseen.errors import ArgumentError
+from halfseen.estimator import is_number
 from halfseen.shapes import Bool, Float, Int
 
 
@@ -60,7 +60,7 @@ def as_floats(values: ArrayLike | float, name: str) -> np.ndarray:
     _refuse_other_kinds(values, name)
     try:
         return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ArgumentError(f"{name} is not numeric ({error}); give an array of floats") from error
 
 
@@ -109,7 +109,7 @@ def just_before(times: Float[np.ndarray, "*S"], tolerance_s: float, precision: f
 
 def checked_truncation(truncate_at: float | int | None) -> float | int | None:
     """Refuse a bound on the weights below 1: every weight 1/Ĝ is at least 1."""
-    if truncate_at is not None and not (isinstance(truncate_at, Real) and 1.0 <= float(truncate_at) < np.inf):
+    if truncate_at is not None and not (is_number(truncate_at) and truncate_at >= 1.0):
         raise ArgumentError(
             f"truncate_at is {truncate_at!r}; weights are at least 1, so give a finite bound ≥ 1, or None"
         )
@@ -261,7 +261,7 @@ def _matrix(covariates: Any) -> Float[np.ndarray, "n p"]:
     _refuse_other_kinds(covariates, "covariates")
     try:
         values = np.asarray(covariates, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ArgumentError(f"covariates is not numeric ({error}); encode categories as numbers") from error
     if values.ndim != 2:
         raise ArgumentError(
