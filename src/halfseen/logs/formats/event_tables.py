@@ -82,7 +82,7 @@ def read_event_table(
     for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
         late.update(event_doubts.late_covariates(events))
         trajectory = Trajectory(number if name is None else name, needed, finishing, cause=LOG_ENDED, remedy=remedy)
-        trajectory.remedy_without_action += OR_LATER if wanted.topic is None else ""
+        trajectory.or_later = OR_LATER if wanted.topic is None else ""
         trajectory.follow(events)
         num_stale += wanted.topic is None and event_doubts.is_stale(trajectory, events)
         if is_seen(Path(cells.file), trajectory):
