@@ -171,6 +171,41 @@ def test_structs_are_taken_apart_and_the_rest_is_left_out_and_told(tmp_path):
     assert logs.stages["observation.lit"].tolist() == [False, True, False]
 
 
+@pytest.mark.parametrize("has_name", [True, False])
+def test_steps_may_be_a_list_in_the_row_of_their_episode(tmp_path, has_name):
+    found = episodes()
+    rows = rows_of(found, [True, False, True])
+    names = [row.pop("episode_id") for row in rows]
+    lists = [[row for row, of in zip(rows, names, strict=True) if of == name] for name in ("e0", "e1", "e2")]
+    columns = {"steps": lists} | ({"episode_id": ["e0", "e1", "e2"]} if has_name else {})
+    pq.write_table(pa.table(columns), tmp_path / "steps.parquet")
+    wanted = expected(found, [FINISHED, CUT, FINISHED], times_of(found), IN_ROWS, names=columns.get("episode_id"))
+    assert_is(read_steps(tmp_path / "steps.parquet", SECONDS), wanted)
+
+
+@pytest.mark.filterwarnings("ignore:.*left out are discount")
+def test_a_discount_of_0_at_the_last_action_is_a_terminal_step(tmp_path):
+    """As dm_env has it; in the last row, which holds no action, EnvLogger writes 0 however the episode ended."""
+    rows = rows_of(episodes(lengths=(2, 2)), [True, False])
+    for row, discount in zip(rows, [1.0, 0.0, 0.0, 1.0, 1.0, 0.0], strict=True):
+        row["discount"] = discount
+    assert read_steps(write_rows(tmp_path / "a", rows), SECONDS).trajectories["ending"].tolist() == ["finished", "cut"]
+    rows[4]["discount"] = 0.0
+    with refused("episode 'e1': discount is 0 at its last action, .* yet its last row is not is_terminal; fix one"):
+        read_steps(write_rows(tmp_path / "b", rows), SECONDS)
+    for row in rows:  # it says nothing
+        row["discount"] = 0.0
+    assert read_steps(write_rows(tmp_path / "c", rows), SECONDS).trajectories["ending"].tolist() == ["finished", "cut"]
+
+
+def test_rewards_of_which_the_first_are_missing_are_of_the_actions_before(tmp_path):
+    rows = rows_of(episodes(lengths=(2, 3)), [True, False])
+    for row in rows:
+        row["reward"] = NAN if row["is_first"] else 1.0 - row["is_last"]
+    with refused("the first reward of each episode, and no other, is missing, so each seems to be of the action bef"):
+        read_steps(write_rows(tmp_path / "steps", rows), SECONDS)
+
+
 @pytest.mark.parametrize("kind", [pa.string(), pa.dictionary(pa.int32(), pa.string())], ids=["text", "dictionary"])
 def test_flags_may_be_words(tmp_path, kind):
     rows = rows_of(episodes(lengths=(2, 3)), [True, False])
