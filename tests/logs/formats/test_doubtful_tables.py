@@ -66,6 +66,15 @@ def test_days_of_a_spreadsheet_are_a_unit_and_guessed_as_such(read_table, draft)
     assert logs.trajectories["cause"].tolist() == [None, "Halt"]
 
 
+def test_stages_that_go_on_at_once_are_told(read_table):
+    rows = "began;time;run;tool;worth;over\n{};10:00:10;1;a;2;\n{};10:00:20;1;b;2;yes\n"
+    mapping = ENDED.replace("FORMAT", "%H:%M:%S").replace(', zone = "America/Chicago"', "")
+    with pytest.warns(HalfseenWarning, match="line 3: the stage begins before the one above ends, as in 1 of 2 rows"):
+        read_table(rows.format("10:00:00", "10:00:05"), mapping)
+    for begins in (("10:00:00", "10:00:09"), ("10:00:00", "10:00:00")):  # rounded; of the trajectory
+        assert ends(read_table(rows.format(*begins), mapping)) == [(1, 20.0, "finished", None)]
+
+
 RESPELLED = [
     ("Ende;fertig;", "Ende;FERTIG;", r"line 8, column 'Text': 'FERTIG' differs from 'fertig' of the mapping only"),
     ("Griff;Säule;", "Griff;säule;", r"line 3, column 'Text': 'säule' differs from 'Säule' of the mapping only"),
