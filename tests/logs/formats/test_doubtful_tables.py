@@ -67,8 +67,8 @@ def test_days_of_a_spreadsheet_are_a_unit_and_guessed_as_such(read_table, draft)
 
 
 def test_stages_that_go_on_at_once_are_told(read_table):
-    rows = "began;time;run;tool;worth;over\n{};10:00:10;1;a;2;\n{};10:00:20;1;b;2;yes\n"
-    mapping = ENDED.replace("FORMAT", "%H:%M:%S").replace(', zone = "America/Chicago"', "")
+    rows = "began;time;run;tool;worth;over\n1 {};1 10:00:10;1;a;2;\n1 {};1 10:00:20;1;b;2;yes\n"
+    mapping = ENDED.replace("FORMAT", "%d %H:%M:%S")
     with pytest.warns(HalfseenWarning, match="line 3: the stage begins before the one above ends, as in 1 of 2 rows"):
         read_table(rows.format("10:00:00", "10:00:05"), mapping)
     for begins in (("10:00:00", "10:00:09"), ("10:00:00", "10:00:00")):  # rounded; of the trajectory

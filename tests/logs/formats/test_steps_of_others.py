@@ -268,6 +268,25 @@ def test_ends_that_observations_contradict_are_told(tmp_path):
         read_step_arrays(write_arrays(tmp_path / "reset.hdf5", rows), SECONDS)
 
 
+@pytest.mark.parametrize(("by", "word"), [(-1, "early"), (1, "late")])
+def test_ends_that_are_marked_beside_a_jump_are_told(tmp_path, by, word):
+    rows = arrays(episodes(0, (4, 5, 4, 5, 4, 5)), timed_out=range(6), has_next=False)
+    is_end = rows["timeouts"]
+    rows["observations"] = [[k - at, k] for at, k in zip(np.cumsum([0, *is_end[:-1]]) * 9, range(27), strict=True)]
+    read_step_arrays(write_arrays(tmp_path / "right.hdf5", rows), SECONDS)
+    rows["timeouts"] = np.roll(is_end, by)
+    with pytest.warns(
+        HalfseenWarning, match=f"observations jump as if ends of episodes were marked one row too {word}"
+    ):
+        read_step_arrays(write_arrays(tmp_path / "shifted.hdf5", rows), SECONDS)
+
+
+def test_a_flag_that_stays_true_is_told(tmp_path):
+    rows = arrays(episodes(0, (9,)), has_next=False) | {"terminals": np.arange(9) > 4}
+    with pytest.warns(HalfseenWarning, match="terminals is true in row 6 and in the one above, as in 3 rows, and each"):
+        read_step_arrays(write_arrays(tmp_path / "a.hdf5", rows), SECONDS)
+
+
 def test_groups_of_observations_and_named_arrays_are_read(tmp_path):
     rows = arrays(episodes(lengths=(2,)), terminated=[0], has_next=False)
     rows |= {"observations": None, "actions": np.zeros((2, 3)), "infos/qpos": np.zeros((2, 9))}

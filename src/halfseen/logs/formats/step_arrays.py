@@ -25,14 +25,15 @@ from halfseen.logs.formats.steps import Ending, StepColumns, StepRules, StepTabl
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, refused
-from halfseen.shapes import Float, Int, Shaped
+from halfseen.shapes import Bool, Float, Int, Shaped
 
 SEEN, NEXT_SEEN = "observations", "next_observations"
 TIMEOUTS = ("timeouts", "truncations", "episode_terminals")
 """Names of the flags of truncation, of which the first that is there counts; the last are also true of other ends."""
 END_OF_DATA = "end-of-data"
-FEWEST_ENDS = 3
-"""Number of ends of episodes that show whether observations jump there."""
+FEWEST_ENDS, FEWEST_SHIFTED, JUMP = 3, 5, 5.0
+"""Numbers of ends of episodes that show whether observations jump there, or beside them; and how far, if beside them,
+in largest steps elsewhere."""
 MOST_GROUPS = 1000
 """Largest number of groups at one level, since groups may contain one another."""
 
@@ -76,9 +77,11 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None, *, missin
         warn(place, f"there are no {TIMEOUTS[0]}, so an episode ends only where it terminated")
     observed = steps.observed([name for name in steps.columns if _is_below(name, SEEN)])
     following = _following(steps, observed)
+    _warn_of_runs(place, named["done"], is_terminal)
     ends = np.array(sorted({*(np.flatnonzero(is_terminal | is_timeout) + 1), len(is_terminal)} - {0}), dtype=np.int64)
     of_steps = begins = np.append(0, ends).astype(np.int64)
     rows = np.arange(len(is_terminal))
+    _warn_of_shifted_ends(place, observed, ends)
     if following is not None:
         _warn_of_others_below(place, observed, following, ends)
         # Append to each episode the observation after its last step.
@@ -107,7 +110,9 @@ def _arrays(file: Path, names: dict[str, str]) -> dict[str, np.ndarray]:
     """Read the arrays used, and report those left out."""
     with _opened(file) as (root, num_bytes):
         there = _named(file, root)
-        require(str(file), there, names)
+        are_apart = any(name.endswith(f"/{names['action']}") for name in there)
+        apart = "its episodes are groups: give the folder of a Minari dataset, or write one array of all steps"
+        require(str(file), there, names, apart if are_apart else None)
         asked = {*names.values(), *TIMEOUTS}
         wanted = [name for name in there if name in asked or _is_below(name, SEEN) or _is_below(name, NEXT_SEEN)]
         if not any(_is_below(name, SEEN) for name in wanted):
@@ -192,6 +197,31 @@ def _following(steps: StepColumns, observed: Mapping[str, Any]) -> dict[str, np.
         differing = ", ".join(sorted(set(following) ^ set(observed))[:10])
         raise LogError(f"{steps.place}: {NEXT_SEEN} and {SEEN} differ in {differing}; write both of the same shape")
     return following
+
+
+def _warn_of_runs(place: str, done: str, is_terminal: Bool[np.ndarray, " N"]) -> None:
+    """Warn about rows that terminate an episode just below such a row, unless most do, as where each has one step."""
+    again = np.flatnonzero(is_terminal[1:] & is_terminal[:-1]) + 1
+    if FEWEST_ENDS <= len(again) < len(is_terminal) / 2:
+        warn(
+            place,
+            f"{done} is true in row {again[0]} and in the one above, as in {len(again):,} rows, and each counts as an "
+            "episode of one step: if it stays true once a goal is reached, end the episode there, and drop what follows",
+        )
+
+
+def _warn_of_shifted_ends(place: str, observed: Mapping[str, Any], ends: Int[np.ndarray, " E"]) -> None:
+    """Warn where observations jump one row before or after the ends of episodes, and nowhere else."""
+    numbers = [values.astype(np.float64) for values in observed.values() if values.dtype.kind in "iuf"]
+    for by, word in ((1, "early"), (-1, "late")):
+        last = ends - 1 + by
+        last = last[(last >= 0) & (last < ends.max(initial=0) - 1)]
+        for values in numbers if FEWEST_SHIFTED <= len(last) <= ends[-1] / 2 else ():
+            with np.errstate(invalid="ignore"):  # infinity, which is refused later
+                steps = np.abs(np.diff(values))
+            if np.median(steps[last]) > JUMP * np.delete(steps, last).max(initial=0.0):
+                warn(place, f"{SEEN} jump as if ends of episodes were marked one row too {word}; mark their last rows")
+                return
 
 
 def _warn_of_others_below(
