@@ -74,7 +74,7 @@ def read_event_table(
     _check_columns(cells, wanted, file)
     event_doubts.warn_of_respelled_events(cells, wanted)
     event_doubts.warn_of_bad_values(cells, wanted)
-    cells = cells if wanted.topic is None else _without_repeats(cells)
+    cells = _without_repeats(cells, wanted)
     event_doubts.warn_of_repeats(cells, wanted)
     needed = {name: wanted.origin(f"covariates.{name}") for name in wanted.covariates}
     finishing, remedy = wanted.ending.finishing, remedy_after_ending(cells, wanted)
@@ -136,13 +136,22 @@ def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
         warn(f"{file}, ending.topic", f"{trouble}, so that every trajectory counts as cut by {LOG_ENDED!r}")
 
 
-def _without_repeats(cells: Cells) -> Cells:
-    """Drop events that repeat the row before, time included, as written by programs that send twice."""
+def _without_repeats(cells: Cells, mapping: EventMapping) -> Cells:
+    """Drop events that repeat the row before, time included, as written by programs that send twice.
+
+    And rows with a date that another file has, too, as exports of days overlap.
+    """
     whole = list(zip(*cells.columns.values(), strict=True))
-    repeats = [row for row in range(1, len(whole)) if whole[row] == whole[row - 1]]
+    repeats = [row for row in range(1, len(whole)) if mapping.topic is not None and whole[row] == whole[row - 1]]
+    of_which = "the one before it"
+    if cells.word == "file" and mapping.trajectory is not None and mapping.clock.has_dates:
+        files = [str(row).rpartition(", ")[0] for row in cells.rows]
+        first = dict(zip(reversed(whole), reversed(files), strict=True))
+        again = [row for row, file in enumerate(files) if first[whole[row]] != file]
+        repeats, of_which = sorted({*repeats, *again}), "one of another file" if again else of_which
     if not repeats:
         return cells
-    warn(cells.place(repeats[0]), f"it repeats the one before it; such rows are skipped: {len(repeats)}")
+    warn(cells.place(repeats[0]), f"it repeats {of_which}; such rows are skipped: {len(repeats)}")
     kept = sorted({*range(len(whole))} - {*repeats})
     columns = {name: [texts[row] for row in kept] for name, texts in cells.columns.items()}
     return replace(cells, columns=columns, rows=[cells.rows[row] for row in kept])

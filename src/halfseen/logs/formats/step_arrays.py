@@ -206,7 +206,7 @@ def _warn_of_runs(place: str, done: str, is_terminal: Bool[np.ndarray, " N"]) ->
         warn(
             place,
             f"{done} is true in row {again[0]} and in the one above, as in {len(again):,} rows, and each counts as an "
-            "episode of one step: if it stays true once a goal is reached, end the episode there, and drop what follows",
+            "episode of one step: if it stays true once a goal is reached, end the episode there, and drop the rest",
         )
 
 
