@@ -1,5 +1,7 @@
 """Episodes of steps in the forms of others: tables of RLDS, arrays of D4RL, datasets of LeRobot."""
 
+from itertools import pairwise
+
 import h5py
 import numpy as np
 import pyarrow as pa
@@ -279,6 +281,17 @@ def test_ends_that_are_marked_beside_a_jump_are_told(tmp_path, by, word):
         HalfseenWarning, match=f"observations jump as if ends of episodes were marked one row too {word}"
     ):
         read_step_arrays(write_arrays(tmp_path / "shifted.hdf5", rows), SECONDS)
+
+
+def test_a_row_in_which_an_environment_reset_itself_is_told(tmp_path):
+    found = episodes(0, (3, 2, 4, 2))
+    for before, after in pairwise(found):
+        after["observed"].insert(0, before["observed"][-1])
+        after["actions"].insert(0, 0)
+        after["rewards"].insert(0, 0.0)
+    file = write_arrays(tmp_path / "a.hdf5", arrays(found, terminated=range(4)))
+    with pytest.warns(HalfseenWarning, match="as vectors of Gymnasium do, drop the first row of each but the first"):
+        read_step_arrays(file, SECONDS)
 
 
 def test_a_flag_that_stays_true_is_told(tmp_path):

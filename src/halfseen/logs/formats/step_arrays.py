@@ -20,20 +20,16 @@ import numpy as np
 from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.installation import extra
 from halfseen.logs.columns import CUT
+from halfseen.logs.formats import array_doubts
+from halfseen.logs.formats.array_doubts import NEXT_SEEN, SEEN, TIMEOUTS
 from halfseen.logs.formats.step_clocks import ends_by_steps, even_ends, refuse_other_unit, refuse_rounded
 from halfseen.logs.formats.steps import Ending, StepColumns, StepRules, StepTable, columns_of, refuse_early, require
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, refused
-from halfseen.shapes import Bool, Float, Int, Shaped
+from halfseen.shapes import Float, Shaped
 
-SEEN, NEXT_SEEN = "observations", "next_observations"
-TIMEOUTS = ("timeouts", "truncations", "episode_terminals")
-"""Names of the flags of truncation, of which the first that is there counts; the last are also true of other ends."""
 END_OF_DATA = "end-of-data"
-FEWEST_ENDS, FEWEST_SHIFTED, JUMP = 3, 5, 5.0
-"""Numbers of ends of episodes that show whether observations jump there, or beside them; and how far, if beside them,
-in largest steps elsewhere."""
 MOST_GROUPS = 1000
 """Largest number of groups at one level, since groups may contain one another."""
 
@@ -77,13 +73,14 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None, *, missin
         warn(place, f"there are no {TIMEOUTS[0]}, so an episode ends only where it terminated")
     observed = steps.observed([name for name in steps.columns if _is_below(name, SEEN)])
     following = _following(steps, observed)
-    _warn_of_runs(place, named["done"], is_terminal)
+    array_doubts.warn_of_runs(place, named["done"], is_terminal)
     ends = np.array(sorted({*(np.flatnonzero(is_terminal | is_timeout) + 1), len(is_terminal)} - {0}), dtype=np.int64)
     of_steps = begins = np.append(0, ends).astype(np.int64)
     rows = np.arange(len(is_terminal))
-    _warn_of_shifted_ends(place, observed, ends)
-    if following is not None:
-        _warn_of_others_below(place, observed, following, ends)
+    if following is None:
+        array_doubts.warn_of_shifted_ends(place, observed, ends)
+    else:
+        array_doubts.warn_of_others_below(place, observed, following, ends)
         # Append to each episode the observation after its last step.
         rows, begins = np.insert(rows, ends, len(rows) + ends - 1), begins + np.arange(len(begins))
         observed = {name: np.append(values, following[name])[rows] for name, values in observed.items()}
@@ -197,61 +194,6 @@ def _following(steps: StepColumns, observed: Mapping[str, Any]) -> dict[str, np.
         differing = ", ".join(sorted(set(following) ^ set(observed))[:10])
         raise LogError(f"{steps.place}: {NEXT_SEEN} and {SEEN} differ in {differing}; write both of the same shape")
     return following
-
-
-def _warn_of_runs(place: str, done: str, is_terminal: Bool[np.ndarray, " N"]) -> None:
-    """Warn about rows that terminate an episode just below such a row, unless most do, as where each has one step."""
-    again = np.flatnonzero(is_terminal[1:] & is_terminal[:-1]) + 1
-    if FEWEST_ENDS <= len(again) < len(is_terminal) / 2:
-        warn(
-            place,
-            f"{done} is true in row {again[0]} and in the one above, as in {len(again):,} rows, and each counts as an "
-            "episode of one step: if it stays true once a goal is reached, end the episode there, and drop the rest",
-        )
-
-
-def _warn_of_shifted_ends(place: str, observed: Mapping[str, Any], ends: Int[np.ndarray, " E"]) -> None:
-    """Warn where observations jump one row before or after the ends of episodes, and nowhere else."""
-    numbers = [values.astype(np.float64) for values in observed.values() if values.dtype.kind in "iuf"]
-    for by, word in ((1, "early"), (-1, "late")):
-        last = ends - 1 + by
-        last = last[(last >= 0) & (last < ends.max(initial=0) - 1)]
-        for values in numbers if FEWEST_SHIFTED <= len(last) <= ends[-1] / 2 else ():
-            with np.errstate(invalid="ignore"):  # infinity, which is refused later
-                steps = np.abs(np.diff(values))
-            if np.median(steps[last]) > JUMP * np.delete(steps, last).max(initial=0.0):
-                warn(place, f"{SEEN} jump as if ends of episodes were marked one row too {word}; mark their last rows")
-                return
-
-
-def _warn_of_others_below(
-    place: str, observed: Mapping[str, Any], following: Mapping[str, Any], ends: Int[np.ndarray, " E"]
-) -> None:
-    """Warn where the observation after a step is not that of the row below, or is the first of the next episode."""
-    is_end = np.isin(np.arange(1, len(next(iter(observed.values()), ()))), ends)
-    is_same, is_jump = np.ones(len(is_end), dtype=bool), False
-    for name, values in observed.items():
-        after, below = following[name][:-1], values[1:]
-        if values.dtype.kind not in "iuf":
-            is_same &= after == below
-            continue
-        is_same &= np.isclose(after, below, equal_nan=True)
-        with np.errstate(invalid="ignore"):  # infinity, which is refused later
-            steps = np.abs(after.astype(np.float64) - values[:-1])
-        is_jump |= is_end.sum() >= FEWEST_ENDS and np.median(steps[is_end]) > steps[~is_end].max(initial=0.0)
-    apart = np.flatnonzero(~is_same & ~is_end)
-    if len(apart):
-        warn(
-            place,
-            f"in row {apart[0]} {NEXT_SEEN} are not the {SEEN} of the row below, yet no episode ends there, as in "
-            f"{len(apart):,} rows: mark the ends of episodes in {TIMEOUTS[0]}, or put the steps in order",
-        )
-    if is_jump and is_same[is_end].all():
-        warn(
-            place,
-            f"{NEXT_SEEN} at the ends of episodes are the first {SEEN} of the next, as environments that reset "
-            "themselves return them, and count as seen at a cut; record the final observation in their place",
-        )
 
 
 # Minari.
