@@ -328,7 +328,8 @@ def heading_of(file: Path) -> int:
         with whole_table(file):
             ways = [{number: len(row) for number, row in islice(rows_of_sheet(file, None).items(), ROWS_LOOKED_AT)}]
     else:
-        lines = list(enumerate(_text(file, None)[0].splitlines()[:ROWS_LOOKED_AT], start=1))
+        texts = _text(file, None)[0].splitlines()[:ROWS_LOOKED_AT]
+        lines = [(number, line) for number, line in enumerate(texts, start=1) if not line.startswith("#")]
         ways = [{number: line.count(separator) for number, line in lines} for separator in SEPARATORS]
     found: dict[int, int] = {}
     for sizes in ways:
