@@ -5,6 +5,7 @@ from itertools import pairwise
 import h5py
 import numpy as np
 import pyarrow as pa
+import pyarrow.feather
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -181,8 +182,10 @@ def test_steps_may_be_a_list_in_the_row_of_their_episode(tmp_path, has_name):
     lists = [[row for row, of in zip(rows, names, strict=True) if of == name] for name in ("e0", "e1", "e2")]
     columns = {"steps": lists} | ({"episode_id": ["e0", "e1", "e2"]} if has_name else {})
     pq.write_table(pa.table(columns), tmp_path / "steps.parquet")
+    pyarrow.feather.write_feather(pa.table(columns), tmp_path / "steps.feather")
     wanted = expected(found, [FINISHED, CUT, FINISHED], times_of(found), IN_ROWS, names=columns.get("episode_id"))
-    assert_is(read_steps(tmp_path / "steps.parquet", SECONDS), wanted)
+    for kind in ("parquet", "feather"):
+        assert_is(read_steps(tmp_path / f"steps.{kind}", SECONDS), wanted)
 
 
 @pytest.mark.filterwarnings("ignore:.*left out are discount")

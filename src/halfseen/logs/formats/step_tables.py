@@ -181,7 +181,7 @@ def _warn_of_unread(
         warn(
             place,
             f"{num_lost} rewards other than 0 are in rows that are {LAST}, which hold no action: they are not read; "
-            f"{remedy}",
+            f"if each is of the action in the row before, move all up a row; {remedy}",
         )
 
 
@@ -251,7 +251,7 @@ def _read(file: Path, columns: list[str] | None, names: Collection[str]) -> pa.T
         if kind == ".parquet":
             table = unnested(parquet_file(file).read(columns))
         else:
-            table = _csv(file, names) if kind == ".csv" else _arrow(file)
+            table = _csv(file, names) if kind == ".csv" else unnested(_arrow(file))
     missing = [name for name in columns or () if name not in table.column_names]
     if missing:
         raise LogError(
@@ -259,7 +259,7 @@ def _read(file: Path, columns: list[str] | None, names: Collection[str]) -> pa.T
         )
     refuse_repeated(file, table.column_names)
     for name, value in partition_of(file).items():
-        if name not in (*table.column_names, *(columns or ())):
+        if name not in table.column_names and (name in EPISODES or name.startswith(SEEN)) and columns is None:
             table = table.append_column(name, pa.array([value or None] * len(table), pa.string()))
     return table.replace_schema_metadata(None)
 
