@@ -230,6 +230,22 @@ def test_a_folder_of_tables_is_one_table(place):
     )
 
 
+def test_folders_named_after_a_value_are_parts_of_one_table(place):
+    write_events(place)
+    pd.read_parquet("events.parquet").to_parquet("parts", partition_cols=["Lauf"])
+    assert "halfseen convert parts --mapping-template" in refusal("parts", "--out", "x")
+    assert 'field = "Lauf"' in run("parts", "--mapping-template").output
+    for source in ("parts", "events.parquet"):
+        run(source, "--mapping", "events.toml", "--out", f"{source}.out")
+    assert same(read_logs("parts.out"), read_logs("events.parquet.out"))
+    steps = pd.DataFrame(rows_of(episodes(), [True, False, True]))
+    steps.to_parquet("steps.parquet")
+    steps.to_parquet("runs", partition_cols=["episode_id"])
+    for source in ("runs", "steps.parquet"):
+        run(source, "--step-s", "1", "--out", f"{source}.out")
+    assert same(read_logs("runs.out"), read_logs("steps.parquet.out"))
+
+
 def test_rows_of_a_database_are_events_too(place):
     write_events(place)
     frame = pd.read_csv("events.csv", sep=";", encoding="cp1252")

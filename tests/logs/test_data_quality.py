@@ -174,6 +174,8 @@ def without_probability(tables):
          "^action WASH was begun and never completed: nothing can be learned from that$"),
         (stages("reward", lambda values: values * 0 + 1), "equal-rewards",
          "^all {completed} rewards are 1: no action is better than another$"),
+        (stages("reward", 0.0, lambda rows: (rows["stage"] == 1) & rows["elapsed_s"].notna()), "later-rewards",
+         r"^the reward is 0 in all \d+ first stages, and in no other: if each came with the observation after its"),
         *(
             (stages(name, value),
              "constant-covariate", f"^covariate {name} is {value!r} in all {{stages}} rows")

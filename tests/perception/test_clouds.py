@@ -3,6 +3,7 @@
 import hashlib
 import io
 import struct
+from functools import partial
 from pathlib import Path
 
 import lzf
@@ -84,7 +85,7 @@ def test_every_kind_of_pcd_is_read(tmp_path, data, shape):
     header = (
         pcd_header(2, 1, "ascii", fields="rgb x y z").replace(b"FIELDS ", b"\nFIELDS\t").replace(b"TYPE ", b"TYPE  ")
     )
-    path.write_bytes(header + b"9 1.5  2.5 3.5 \n9 4.5 5.5\t6.5\n")
+    path.write_bytes(header + b"9e-40 1.5  2.5 3.5 \n9e-40 4.5 5.5\t6.5\n")
     np.testing.assert_array_equal(read_cloud(path).points_m, [[1.5, 2.5, 3.5], [4.5, 5.5, 6.5]])
 
 
@@ -267,10 +268,21 @@ def test_a_float_or_its_bits_as_a_whole_number_in_text_are_a_colour(tmp_path, po
     points[7] = np.nan
     header = ["FIELDS x y z rgb", "SIZE 4 4 4 4", "TYPE F F F F", f"WIDTH {NUM}", "HEIGHT 1", f"POINTS {NUM}"]
     bits = packed(colours, alpha=255 if written == "opaque" else 0)
-    words = [f"{each:.9g}" for each in bits.view("f4")] if written == "float" else map(str, bits)
+    words = [f"{each:.8g}" for each in bits.view("f4")] if written == "float" else map(str, bits)
     rows = [f"{x:.9g} {y:.9g} {z:.9g} {word}" for (x, y, z), word in zip(points, words, strict=True)]
     (tmp_path / "cloud.pcd").write_text("\n".join([*header, "DATA ascii", *rows]))
     np.testing.assert_array_equal(read_cloud(tmp_path / "cloud.pcd").colours, colours)
+
+
+@pytest.mark.parametrize("is_float", [True, False])
+def test_text_of_too_few_digits_holds_no_colour(tmp_path, points, colours, is_float):
+    """As C++ writes it by default: the blue was then any number."""
+    numbers = packed(colours, alpha=0)
+    rows = [
+        f"1 1 {1 + k} {number:.6g}" for k, number in enumerate(numbers.view("f4") if is_float else numbers.tolist())
+    ]
+    (tmp_path / "cloud.pcd").write_bytes(pcd_header(NUM, 1, "ascii", "x y z rgb") + "\n".join(rows).encode())
+    assert read_cloud(tmp_path / "cloud.pcd").colours is None
 
 
 def test_red_alone_is_no_colour(tmp_path):
@@ -354,6 +366,16 @@ def pcd_of_a_byte(path: Path) -> None:
     PointCloud.from_points([np.ones(NUM, kind) for kind in kinds], ("x", "y", "z", "rgb"), kinds).save(path)
 
 
+def pcd_of_a_number(path: Path, data: str, value: str) -> None:
+    body = pcd_body(np.array([[1.0, 1.0, 1.0, float(value)]]), data)
+    path.write_bytes(pcd_header(1, 1, data, "x y z rgb") + body)
+
+
+def pcd_of_text(path: Path, value: str) -> None:
+    head = "FIELDS x y z r g b\nSIZE 4 4 4 1 1 1\nTYPE F F F U U U\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n"
+    path.write_text(f"{head}1 1 1 0 0 {value}\n")
+
+
 @pytest.mark.parametrize(
     ("name", "write", "message"),
     [
@@ -365,6 +387,14 @@ def pcd_of_a_byte(path: Path) -> None:
             "red, green and blue are float32, float32, float32",
         ),
         ("d.pcd", pcd_of_a_byte, "field rgb has TYPE U, SIZE 1 and COUNT 1"),
+        *(
+            (f"{data}{value}.pcd", partial(pcd_of_a_number, data=data, value=value), f"field rgb is {value} in a point")
+            for data, value in (("ascii", "0.5"), ("ascii", "128"), ("binary", "0.5"))
+        ),
+        *(
+            (f"apart{value}.pcd", partial(pcd_of_text, value=value), "red, green and blue are uint8, uint8, float64")
+            for value in ("0.5", "300")
+        ),
     ],
 )
 def test_colours_of_another_kind_are_refused_in_one_line(tmp_path, name, write, message):

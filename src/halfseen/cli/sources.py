@@ -104,7 +104,8 @@ def kind_of(source: str, is_mapped: bool = False) -> str:
         return "csv"
     if not path.is_dir() and path.suffix in (".h5", ".hdf5"):
         return "hdf5"
-    if is_event_table(path, is_mapped) if path.is_file() else is_mapped and tables_of_events(path):
+    tables = tables_of_events(path) if is_mapped or path.is_file() else _step_files(path)
+    if tables and is_event_table(tables[0], is_mapped):
         return "events"
     if _step_files(path):
         return "steps"
@@ -139,9 +140,14 @@ def tables_of_events(path: Path) -> list[Path]:
 
 
 def _shown_files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
-    """Files of a folder by the end of their names, in order, without hidden ones and locks of open workbooks."""
-    there = [file for file in folder.iterdir() if file.name.lower().endswith(suffixes)]
-    return sorted((file for file in there if not file.name.startswith((".", "~$"))), key=_by_name)
+    """Files of a folder, and of those in it that are named after a value (``run=7``), by the end of their names.
+
+    They are in order, without hidden ones and locks of open workbooks.
+    """
+    entries = sorted((entry for entry in folder.iterdir() if not entry.name.startswith((".", "~$"))), key=_by_name)
+    there = [entry for entry in entries if entry.name.lower().endswith(suffixes)]
+    parts = [entry for entry in entries if "=" in entry.name and entry.is_dir()]
+    return there + [file for part in parts for file in _shown_files(part, suffixes)]
 
 
 def _by_name(file: Path) -> tuple[Any, str]:

@@ -229,6 +229,18 @@ def _equal_rewards(logs: Logs) -> Iterator[str]:
         yield f"all {len(rewards)} rewards are {rewards.iloc[0]:g}: no action is better than another"
 
 
+def _later_rewards(logs: Logs) -> Iterator[str]:
+    """Find rewards that seem to come a stage late: 0 in all first stages, and nowhere else, not even in the middle."""
+    completed: Any = rows_with(logs.stages, "elapsed_s")
+    is_first, is_zero = completed["stage"] == 1, completed["reward"] == 0
+    is_middle = ~is_first & (completed["trajectory"] == completed["trajectory"].shift(-1))
+    if min(is_first.sum(), is_middle.sum()) >= FEWEST_ROWS and (is_first == is_zero).all():
+        yield (
+            f"the reward is 0 in all {is_first.sum()} first stages, and in no other: if each came with the observation "
+            "after its action, all are one stage late"
+        )
+
+
 def _were(what: str, names: list[str]) -> str:
     return f"{what} {listed(names)} was" if len(names) == 1 else f"{what}s {listed(names)} were"
 
@@ -265,6 +277,7 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "no-probability": _no_probability,
     "no-exploration": _no_exploration,
     "equal-rewards": _equal_rewards,
+    "later-rewards": _later_rewards,
     "constant-covariate": constant_covariates,
     "stuck-sensor": stuck_sensors,
     "duplicated-trajectories": copied_trajectories,

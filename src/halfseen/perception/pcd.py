@@ -31,6 +31,10 @@ _KINDS = {*(kind + size for kind in "UI" for size in "1248"), "F4", "F8"}
 
 # Fields that hold a colour as 0x00RRGGBB in the four bytes of an integer or a float.
 PACKED_COLOURS = ("rgb", "rgba")
+# Least size of a share; without opacity, the floats of packed colours are smaller.
+LEAST_PLAIN = 1e-6
+# The float with the bits 1, and the least number of whole numbers that show a multiple.
+SMALLEST, FEWEST_ROUNDED = 2.0**-149, 10
 
 Columns: TypeAlias = dict[str, Shaped[np.ndarray, " n"]]
 
@@ -85,12 +89,16 @@ def read_pcd(path: Path) -> Cloud:
         )
     colours = None
     if packed is not None:
-        colours = _unpacked(columns[packed], points, _packed_kind(fields[names.index(packed)], path))
+        kind = _packed_kind(fields[names.index(packed)], path)
+        if kind == "F":
+            _refuse_plain(columns[packed], packed, path)
+        colours = _unpacked(columns[packed], points, kind)
     elif apart:
         kinds = [
             np.dtype(f"{kind.lower()}{size}") for _, kind, size, _ in (fields[names.index(each)] for each in apart)
         ]
-        colours = colours_of([columns[each].astype(kind) for each, kind in zip(apart, kinds, strict=True)], str(path))
+        values = [_whole_of(columns[each], kind) for each, kind in zip(apart, kinds, strict=True)]
+        colours = colours_of(values, str(path))
     shape = (height, width) if height > 1 else None
     pose = _numbers((header.get("VIEWPOINT") or "0 0 0").split(), "VIEWPOINT", path)
     viewpoint, frame = viewpoint_of(pose, str(path)), header.get(f"# {FRAME_COMMENT}")
@@ -221,6 +229,23 @@ def _packed_kind(field: Field, path: Path) -> str:
     return kind
 
 
+def _refuse_plain(column: Shaped[np.ndarray, " n"], name: str, path: Path) -> None:
+    """Refuse shares or greys in a field of packed colours, whose bits are no float between these (`CloudError`)."""
+    sizes = np.abs(column[np.isfinite(column) & (column != 0)])
+    if len(sizes) and sizes.min() > LEAST_PLAIN and sizes.max() < 256:
+        raise CloudError(
+            f"{path}: field {name} is {sizes[0]:g} in a point, not a colour whose bytes are those of a float; pack "
+            "red, green and blue from 0 to 255 into it, or leave it out"
+        )
+
+
+def _whole_of(column: Shaped[np.ndarray, " n"], kind: np.dtype) -> Shaped[np.ndarray, " n"]:
+    """Numbers from text in their type; unchanged if one of them does not fit it."""
+    with np.errstate(invalid="ignore"):
+        values = column.astype(kind)
+    return values if (values == column).all() else column
+
+
 def _unpacked(column: Shaped[np.ndarray, " n"], points_m: Points, kind: str) -> Colours | None:
     """Colours of a column as it was stored, or None if text has lost them."""
     if column.dtype.itemsize != 4:
@@ -228,6 +253,8 @@ def _unpacked(column: Shaped[np.ndarray, " n"], points_m: Points, kind: str) -> 
         if not column.any() or np.isnan(column[np.isfinite(points_m).all(axis=1)]).any():
             return None
         is_float = kind == "F" and not _is_whole(column)
+        if _is_rounded(column, is_float):
+            return None
         column = column.astype(np.float32) if is_float else np.nan_to_num(column).astype(np.int64).astype(np.uint32)
     bits = column.view(np.uint32)
     return np.stack([bits >> shift & 0xFF for shift in (16, 8, 0)], axis=1).astype(np.uint8)
@@ -237,6 +264,15 @@ def _is_whole(column: Float[np.ndarray, " n"]) -> bool:
     """Whether text of TYPE F holds bits of colours as whole numbers, as some writers do; as fractions they are tiny."""
     there = column[~np.isnan(column)]
     return bool((there == np.floor(there)).all() and (there >= 0.0).all() and 1.0 <= there.max(initial=0.0) < 2**32)
+
+
+def _is_rounded(column: Float[np.ndarray, " n"], is_float: bool) -> bool:
+    """Whether text has too few digits for the last bits of colours, such as 4.2108e+06 or 1.79767e-38."""
+    if is_float:
+        bits = column[np.abs(column) < 2**24 * SMALLEST] / SMALLEST
+        return bool((np.abs(bits - np.round(bits)) > 0.45).any())
+    different = np.unique(column[~np.isnan(column)])
+    return len(different) >= FEWEST_ROUNDED and bool((different % 10 == 0).all())
 
 
 def _intrinsics(header: dict[str, str], path: Path) -> Intrinsics | None:

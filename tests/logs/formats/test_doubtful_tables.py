@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from event_files import AMERICAN, BEGUN, GERMAN, GERMAN_STAGES, HISTORIAN, PLC, STAGES, WIDE, ends, stages
+from event_files import AMERICAN, BEGUN, GERMAN, GERMAN_ENDS, GERMAN_STAGES, HISTORIAN, PLC, STAGES, WIDE, ends, stages
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.logs.formats import mapping_of, read_event_table
 from halfseen.logs.missing import KEEP
@@ -64,6 +64,22 @@ def test_days_of_a_spreadsheet_are_a_unit_and_guessed_as_such(read_table, draft)
     logs = read_table(text, made)
     assert logs.end_s.round(4).tolist() == [5.0, 17.28]
     assert logs.trajectories["cause"].tolist() == [None, "Halt"]
+
+
+def test_stages_that_go_on_at_once_are_told(read_table):
+    rows = "began;time;run;tool;worth;over\n1 {};1 10:00:10;1;a;2;\n1 {};1 10:00:20;1;b;2;yes\n"
+    mapping = ENDED.replace("FORMAT", "%d %H:%M:%S")
+    with pytest.warns(HalfseenWarning, match="line 3: the stage begins before the one above ends, as in 1 of 2 rows"):
+        read_table(rows.format("10:00:00", "10:00:05"), mapping)
+    for begins in (("10:00:00", "10:00:09"), ("10:00:00", "10:00:00")):  # rounded; of the trajectory
+        assert ends(read_table(rows.format(*begins), mapping)) == [(1, 20.0, "finished", None)]
+
+
+def test_rows_of_days_that_overlap_count_once(read_files):
+    heading, *rows = GERMAN.splitlines(keepends=True)
+    days = {"1.csv": heading + "".join(rows[:7]), "2.csv": heading + "".join(rows[3:])}
+    with pytest.warns(HalfseenWarning, match=r"2\.csv, line 2: it repeats one of another file; such .* skipped: 4"):
+        assert ends(read_files(days, HISTORIAN)) == GERMAN_ENDS
 
 
 RESPELLED = [

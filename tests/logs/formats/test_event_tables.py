@@ -122,6 +122,8 @@ def test_a_reward_may_stand_in_the_row_after_its_action(read_table):
     assert ends(logs) == [(1, 2.5, "finished", None), (2, 2.0, "cut", "stop")]
     with refused(r'line 4: .* with no action before it; record every action, or set reward\.row = "next" if'):
         read_table("run,t,x,tool,worth,over\n1,1,.1,a,0,\n1,2,.2,b,1,\n1,3,.3,,2,done\n", STAGES_OBSERVED)
+    with refused(r'line 3: .* has no reward; record a reward after every action, or set reward\.row = "next" if'):
+        read_table("run,t,x,tool,worth,over\n1,1,.1,a,,\n1,2,.2,b,1,done\n", STAGES_OBSERVED)
     with pytest.warns(HalfseenWarning, match=r"line 2: its reward is left out, as in 1 first rows .* reward\.row"):
         read_table("run,t,x,tool,worth,over\n" + "\n".join(rows).replace("left,0", "left,4", 1) + "\n", OBSERVED)
 

@@ -160,6 +160,12 @@ def test_whole_numbers_may_name_actions(draft):
 
 def test_a_heading_is_found_below_as_many_other_lines_as_there_are_rows(draft):
     assert "heading = 3  # guess: the line that names the columns" in draft("of X\nof Y\nrun,tool,ms\na,x,1500\n")
+    # As InfluxDB exports it, with the times between which was asked.
+    annotated = "#group,false,false,true,true\n#default,,,,\n,_start,_time,run,tool\n"
+    annotated += "".join(f",2025-01-01T00:00:00Z,2025-01-01T00:00:0{k}Z,1,{tool}\n" for k, tool in enumerate("ab"))
+    made = draft(annotated)
+    assert "heading = 3  # guess: the line that names the columns" in made
+    assert '[clock]\nfield = "_time"' in made
 
 
 @pytest.mark.parametrize(

@@ -55,6 +55,17 @@ def test_a_stray_quote_in_logs_as_csv_is_told(tmp_path):
         assert len(read((6, 20), (6, 20)).stages) == ROWS - 14
 
 
+@pytest.mark.parametrize("note", [r'"a \"b\" c"', r'"\"b\""', '"x\n\\"y"'])
+def test_quotes_escaped_by_a_backslash_are_refused(tmp_path, read_table, note):
+    with refused("line 2: a quote within a cell is escaped by a backslash; export it doubled", LogError):
+        read_table(f"run,tool,s,worth,stop\n1,{note},1,1,\n", MAPPING)
+    (tmp_path / "steps.csv").write_text(f"is_last,action,is_terminal\nfalse,{note},false\n")
+    with refused("line 2: a quote within a cell is escaped by a backslash", LogError):
+        read_steps(tmp_path / "steps.csv")
+    found = read_table('run,tool,s,worth,stop\n1,"C:\\bin\\",1,1,\n2,"a \\""b",1,1,\n', MAPPING)
+    assert found.stages["action"].tolist() == ["C:\\bin\\", 'a \\"b']
+
+
 def test_cells_of_several_lines_and_quotes_within_cells_are_read(read_table):
     text = 'run,tool,s,worth,stop\n1, "a, ""b""\n\nc",1,1,\n2,5" d,1,1,\n3,"x"y,1,1,"\n"\n'
     found = read_table(text, MAPPING).stages

@@ -1,8 +1,11 @@
 """Episodes of steps in the forms of others: tables of RLDS, arrays of D4RL, datasets of LeRobot."""
 
+from itertools import pairwise
+
 import h5py
 import numpy as np
 import pyarrow as pa
+import pyarrow.feather
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -171,6 +174,43 @@ def test_structs_are_taken_apart_and_the_rest_is_left_out_and_told(tmp_path):
     assert logs.stages["observation.lit"].tolist() == [False, True, False]
 
 
+@pytest.mark.parametrize("has_name", [True, False])
+def test_steps_may_be_a_list_in_the_row_of_their_episode(tmp_path, has_name):
+    found = episodes()
+    rows = rows_of(found, [True, False, True])
+    names = [row.pop("episode_id") for row in rows]
+    lists = [[row for row, of in zip(rows, names, strict=True) if of == name] for name in ("e0", "e1", "e2")]
+    columns = {"steps": lists} | ({"episode_id": ["e0", "e1", "e2"]} if has_name else {})
+    pq.write_table(pa.table(columns), tmp_path / "steps.parquet")
+    pyarrow.feather.write_feather(pa.table(columns), tmp_path / "steps.feather")
+    wanted = expected(found, [FINISHED, CUT, FINISHED], times_of(found), IN_ROWS, names=columns.get("episode_id"))
+    for kind in ("parquet", "feather"):
+        assert_is(read_steps(tmp_path / f"steps.{kind}", SECONDS), wanted)
+
+
+@pytest.mark.filterwarnings("ignore:.*left out are discount")
+def test_a_discount_of_0_at_the_last_action_is_a_terminal_step(tmp_path):
+    """As dm_env has it; in the last row, which holds no action, EnvLogger writes 0 however the episode ended."""
+    rows = rows_of(episodes(lengths=(2, 2)), [True, False])
+    for row, discount in zip(rows, [1.0, 0.0, 0.0, 1.0, 1.0, 0.0], strict=True):
+        row["discount"] = discount
+    assert read_steps(write_rows(tmp_path / "a", rows), SECONDS).trajectories["ending"].tolist() == ["finished", "cut"]
+    rows[4]["discount"] = 0.0
+    with refused("episode 'e1': discount is 0 at its last action, .* yet its last row is not is_terminal; fix one"):
+        read_steps(write_rows(tmp_path / "b", rows), SECONDS)
+    for row in rows:  # it says nothing
+        row["discount"] = 0.0
+    assert read_steps(write_rows(tmp_path / "c", rows), SECONDS).trajectories["ending"].tolist() == ["finished", "cut"]
+
+
+def test_rewards_of_which_the_first_are_missing_are_of_the_actions_before(tmp_path):
+    rows = rows_of(episodes(lengths=(2, 3)), [True, False])
+    for row in rows:
+        row["reward"] = NAN if row["is_first"] else 1.0 - row["is_last"]
+    with refused("the first reward of each episode, and no other, is missing, so each seems to be of the action bef"):
+        read_steps(write_rows(tmp_path / "steps", rows), SECONDS)
+
+
 @pytest.mark.parametrize("kind", [pa.string(), pa.dictionary(pa.int32(), pa.string())], ids=["text", "dictionary"])
 def test_flags_may_be_words(tmp_path, kind):
     rows = rows_of(episodes(lengths=(2, 3)), [True, False])
@@ -231,6 +271,36 @@ def test_ends_that_observations_contradict_are_told(tmp_path):
         rows["next_observations"][end] = rows["observations"][end + 1]
     with pytest.warns(HalfseenWarning, match="are the first observations of the next, as environments that reset"):
         read_step_arrays(write_arrays(tmp_path / "reset.hdf5", rows), SECONDS)
+
+
+@pytest.mark.parametrize(("by", "word"), [(-1, "early"), (1, "late")])
+def test_ends_that_are_marked_beside_a_jump_are_told(tmp_path, by, word):
+    rows = arrays(episodes(0, (4, 5, 4, 5, 4, 5)), timed_out=range(6), has_next=False)
+    is_end = rows["timeouts"]
+    rows["observations"] = [[k - at, k] for at, k in zip(np.cumsum([0, *is_end[:-1]]) * 9, range(27), strict=True)]
+    read_step_arrays(write_arrays(tmp_path / "right.hdf5", rows), SECONDS)
+    rows["timeouts"] = np.roll(is_end, by)
+    with pytest.warns(
+        HalfseenWarning, match=f"observations jump as if ends of episodes were marked one row too {word}"
+    ):
+        read_step_arrays(write_arrays(tmp_path / "shifted.hdf5", rows), SECONDS)
+
+
+def test_a_row_in_which_an_environment_reset_itself_is_told(tmp_path):
+    found = episodes(0, (3, 2, 4, 2))
+    for before, after in pairwise(found):
+        after["observed"].insert(0, before["observed"][-1])
+        after["actions"].insert(0, 0)
+        after["rewards"].insert(0, 0.0)
+    file = write_arrays(tmp_path / "a.hdf5", arrays(found, terminated=range(4)))
+    with pytest.warns(HalfseenWarning, match="as vectors of Gymnasium do, drop the first row of each but the first"):
+        read_step_arrays(file, SECONDS)
+
+
+def test_a_flag_that_stays_true_is_told(tmp_path):
+    rows = arrays(episodes(0, (9,)), has_next=False) | {"terminals": np.arange(9) > 4}
+    with pytest.warns(HalfseenWarning, match="terminals is true in row 6 and in the one above, as in 3 rows, and each"):
+        read_step_arrays(write_arrays(tmp_path / "a.hdf5", rows), SECONDS)
 
 
 def test_groups_of_observations_and_named_arrays_are_read(tmp_path):

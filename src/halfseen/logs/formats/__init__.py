@@ -1,10 +1,11 @@
 """Logs in other formats: CSV, any table, databases, bags, MCAP, and datasets of Minari, LeRobot, RLDS and D4RL.
 
 Reading order: `as_text` (columns as text, and what a format cannot store) → `csv_folder` → `older` (logs of version 1)
-→ `mapping` (files that map topics) → `sql_rows` → `steps` (steps of other datasets as stages) → `step_tables` →
-`lerobot_folder` → `step_arrays` → `minari` → `bag_files`, `bag_fields`, `bag_messages`, `bags` → `table_mapping`,
-`workbooks`, `table_cells`, `table_values`, `wide_tables`, `ending_flags`, `event_doubts`, `event_tables` (any table, by
-a mapping as for bags) → `guesses`, `event_template` (a draft of that mapping). Optional libraries load on first use.
+→ `mapping` (files that map topics) → `sql_rows` → `steps` (steps of other datasets as stages) → `nested_steps`,
+`partitions`, `step_tables` → `lerobot_folder` → `array_doubts`, `step_arrays` → `minari` → `bag_files`, `bag_fields`,
+`bag_messages`, `bags` → `table_mapping`, `workbooks`, `table_cells`, `table_values`, `wide_tables`, `ending_flags`,
+`event_doubts`, `event_tables` (any table, by a mapping as for bags) → `guesses`, `event_template` (a draft of that
+mapping). Optional libraries load on first use.
 """
 
 from halfseen.logs.formats.as_text import Loss, losses

@@ -255,8 +255,8 @@ class Trajectory:
     """Place of the last event, for messages."""
     remedy: str = "map [trajectory], the message that begins a trajectory, if there are several"
     """Remedy for events after an ending, for messages."""
-    remedy_without_action: str = "record every action"
-    """Remedy for a reward without an action, for messages."""
+    or_later: str = ""
+    """Another remedy for an action without a reward, and the reverse, for messages."""
 
     @property
     def missing(self) -> list[str]:
@@ -301,13 +301,14 @@ class Trajectory:
         if "action" in stage:
             self._refuse(
                 f"action {shown(event.value)} comes at {self.end_s:g} s, yet {shown(stage['action'])} before it has no "
-                "reward; record a reward after every action"
+                f"reward; record a reward after every action{self.or_later}"
             )
 
     def _complete(self, stage: dict[str, Any], event: Event) -> None:
         if "action" not in stage:
             self._refuse(
-                f"reward {event.value} comes at {self.end_s:g} s with no action before it; {self.remedy_without_action}"
+                f"reward {event.value} comes at {self.end_s:g} s with no action before it; record every action"
+                f"{self.or_later}"
             )
         self._add({**stage, "elapsed_s": self.end_s, "reward": float(event.value)})
         if self.missing:

@@ -76,3 +76,22 @@ def _read(cells: Cells, flag: Flag, asked_by: str) -> list[bool]:
     if wrong is not None:
         cells.refuse(wrong, flag.field, "is neither true nor false (1 or 0, yes or no); fix it, or name another column")
     return [text in _TRUE for text in texts]
+
+
+def remedy_after_ending(cells: Cells, mapping: EventMapping) -> str:
+    """Remedy for rows that come after an ending."""
+    column = mapping.column("ending")
+    if not mapping.ending.topics and are_flags(cells.columns[column]):
+        return f'column {column!r} is true or false, so set finished = {{field = "{column}"}} in [ending]'
+    if mapping.trajectory is None:
+        return "map [trajectory], the column of its name or the event that begins it, if there are several"
+    if mapping.clock.since == "stage":
+        last = "the oldest row must be first, since times count from each stage; sort the rows"
+    else:
+        last = "the ending must be last by the clock; fix the times"
+    if mapping.topic is None and column == BY_REWARD:
+        last += ", give every row but the last a reward"
+    elif mapping.topic is None:
+        named = f"flags {column.removeprefix(BY)}" if column.startswith(BY) else f"column {column!r}"
+        last += f", leave {named} empty in all rows but the last"
+    return f"{last}, or have {mapping.origin('trajectory')} distinguish the trajectories"

@@ -26,6 +26,8 @@ _GOOD_CODES, _BAD_CODES = ("192", "216"), ["0", "4", "8", "12", "16", "20", "24"
 MOST_QUALITIES = 50
 LEAST_PAUSE_NS, PAUSE = NANOSECONDS["h"], 1000.0
 """A pause within a trajectory is long from here on [ns], and from this many times the usual time between rows on."""
+MOST_OVERLAP = 0.1
+"""Largest part of a stage that a rounded time may overlap with the next."""
 FEWEST_ON_ONE_CLOCK = 5
 """Number of trajectories that show that a clock runs on across trajectories."""
 
@@ -182,6 +184,22 @@ def warn_of_reordered(cells: Cells, groups: Groups, stamps: Stamps, mapping: Eve
         rest = f", as in {len(late):,} rows" if len(late) > 1 else ""
         early = f"the time is before that of the row above{rest}"
         warn(cells.place(late[0]), f"{early}; rows are sorted by time")
+
+
+def warn_of_overlaps(cells: Cells, groups: Groups, begins: Stamps, stamps: Stamps) -> None:
+    """Warn about stages that begin long before the one above ends, given the begin and the end of each row."""
+    early: list[int] = []
+    for rows in groups.values():
+        order = np.asarray(rows)[np.argsort(stamps[rows], kind="stable")]
+        lasted, overlap = (stamps - begins)[order[:-1]], stamps[order[:-1]] - begins[order[1:]]
+        # Where all rows have the same beginning, it is that of the trajectory.
+        early += order[1:][(overlap > MOST_OVERLAP * lasted) & (begins[order[1:]] > begins[order[0]])].tolist()
+    if early:
+        warn(
+            cells.place(early[0]),
+            f"the stage begins before the one above ends, as in {len(early):,} of {len(stamps):,} rows, and counts as "
+            "begun after it; if two went on at once, give each a trajectory of its own",
+        )
 
 
 def late_covariates(events: list[Event]) -> Iterator[str]:

@@ -23,7 +23,7 @@ from halfseen.logs.formats import event_doubts, table_values
 from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, JITTER_NS, Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
 from halfseen.logs.formats.empty_cells import filled_down, without_missing
-from halfseen.logs.formats.ending_flags import BY, BY_REWARD, LOG_ENDED, are_flags, truths, with_ending
+from halfseen.logs.formats.ending_flags import LOG_ENDED, remedy_after_ending, truths, with_ending
 from halfseen.logs.formats.later_rewards import OR_LATER, reward_first, warn_of_first_rewards
 from halfseen.logs.formats.mapping import NUMBERS
 from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells, refuse_empty
@@ -74,15 +74,15 @@ def read_event_table(
     _check_columns(cells, wanted, file)
     event_doubts.warn_of_respelled_events(cells, wanted)
     event_doubts.warn_of_bad_values(cells, wanted)
-    cells = cells if wanted.topic is None else _without_repeats(cells)
+    cells = _without_repeats(cells, wanted)
     event_doubts.warn_of_repeats(cells, wanted)
     needed = {name: wanted.origin(f"covariates.{name}") for name in wanted.covariates}
-    finishing, remedy = wanted.ending.finishing, _remedy_after_ending(cells, wanted)
+    finishing, remedy = wanted.ending.finishing, remedy_after_ending(cells, wanted)
     found, num_stale, late = [], 0, Counter[str]()
     for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
         late.update(event_doubts.late_covariates(events))
         trajectory = Trajectory(number if name is None else name, needed, finishing, cause=LOG_ENDED, remedy=remedy)
-        trajectory.remedy_without_action += OR_LATER if wanted.topic is None else ""
+        trajectory.or_later = OR_LATER if wanted.topic is None else ""
         trajectory.follow(events)
         num_stale += wanted.topic is None and event_doubts.is_stale(trajectory, events)
         if is_seen(Path(cells.file), trajectory):
@@ -121,25 +121,6 @@ def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> C
     return Cells(str(source[0].parent), columns, places, first.layout, "file", unread)
 
 
-def _remedy_after_ending(cells: Cells, mapping: EventMapping) -> str:
-    """Remedy for rows that come after an ending."""
-    column = mapping.column("ending")
-    if not mapping.ending.topics and are_flags(cells.columns[column]):
-        return f'column {column!r} is true or false, so set finished = {{field = "{column}"}} in [ending]'
-    if mapping.trajectory is None:
-        return "map [trajectory], the column of its name or the event that begins it, if there are several"
-    if mapping.clock.since == "stage":
-        last = "the oldest row must be first, since times count from each stage; sort the rows"
-    else:
-        last = "the ending must be last by the clock; fix the times"
-    if mapping.topic is None and column == BY_REWARD:
-        last += ", give every row but the last a reward"
-    elif mapping.topic is None:
-        named = f"flags {column.removeprefix(BY)}" if column.startswith(BY) else f"column {column!r}"
-        last += f", leave {named} empty in all rows but the last"
-    return f"{last}, or have {mapping.origin('trajectory')} distinguish the trajectories"
-
-
 def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
     """Refuse missing columns and events that no row has, except those of endings, which may be missing."""
     topic = [] if mapping.topic is None else [("topic", mapping.topic)]
@@ -155,13 +136,22 @@ def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
         warn(f"{file}, ending.topic", f"{trouble}, so that every trajectory counts as cut by {LOG_ENDED!r}")
 
 
-def _without_repeats(cells: Cells) -> Cells:
-    """Drop events that repeat the row before, time included, as written by programs that send twice."""
+def _without_repeats(cells: Cells, mapping: EventMapping) -> Cells:
+    """Drop events that repeat the row before, time included, as written by programs that send twice.
+
+    And rows with a date that another file has, too, as exports of days overlap.
+    """
     whole = list(zip(*cells.columns.values(), strict=True))
-    repeats = [row for row in range(1, len(whole)) if whole[row] == whole[row - 1]]
+    repeats = [row for row in range(1, len(whole)) if mapping.topic is not None and whole[row] == whole[row - 1]]
+    of_which = "the one before it"
+    if cells.word == "file" and mapping.trajectory is not None and mapping.clock.has_dates:
+        files = [str(row).rpartition(", ")[0] for row in cells.rows]
+        first = dict(zip(reversed(whole), reversed(files), strict=True))
+        again = [row for row, file in enumerate(files) if first[whole[row]] != file]
+        repeats, of_which = sorted({*repeats, *again}), "one of another file" if again else of_which
     if not repeats:
         return cells
-    warn(cells.place(repeats[0]), f"it repeats the one before it; such rows are skipped: {len(repeats)}")
+    warn(cells.place(repeats[0]), f"it repeats {of_which}; such rows are skipped: {len(repeats)}")
     kept = sorted({*range(len(whole))} - {*repeats})
     columns = {name: [texts[row] for row in kept] for name, texts in cells.columns.items()}
     return replace(cells, columns=columns, rows=[cells.rows[row] for row in kept])
@@ -177,6 +167,8 @@ def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tu
     groups = _groups(cells, mapping, values_of, stamps)
     event_doubts.warn_of_rows_apart(cells, groups, stamps, mapping)
     event_doubts.warn_of_reordered(cells, groups, stamps, mapping)
+    if begins is not None:
+        event_doubts.warn_of_overlaps(cells, groups, begins, stamps)
     early: list[int] = []
     for name, unordered in groups.items():
         rows, times = _in_order(unordered, stamps, mapping)

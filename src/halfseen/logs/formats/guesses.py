@@ -179,7 +179,8 @@ def are_numbers(texts: Iterable[str]) -> bool:
 
 
 def _are_times(texts: Sequence[str]) -> bool:
-    return all(map(is_numeric, texts)) or all(map(is_duration, texts)) or bool(date_formats(texts))
+    is_same = len({*texts}) == 1 < len(texts)  # as the date of an export
+    return all(map(is_numeric, texts)) or all(map(is_duration, texts)) or bool(not is_same and date_formats(texts))
 
 
 def _are_words(texts: Sequence[str]) -> bool:

@@ -7,7 +7,7 @@ from halfseen.errors import warn
 from halfseen.logs.formats.table_cells import Cells
 
 OR_LATER = ', or set reward.row = "next" if each row has the reward of the action in the row before'
-"""Another remedy for a reward without an action."""
+"""Another remedy for a reward without an action, and for an action without a reward."""
 
 
 def reward_first(values: Sequence[tuple[str, Any]], finishing: Collection[str]) -> list[tuple[str, Any]]:

@@ -1,6 +1,7 @@
 """Stray quotes in CSV that open a cell: readers silently absorb the following rows into that cell.
 
-And headings within it, where files were put one below the other: readers take them for rows.
+And quotes escaped by a backslash, as Spark and MySQL write them: other readers end the cell there. And headings within
+it, where files were put one below the other: readers take them for rows.
 """
 
 import re
@@ -29,7 +30,7 @@ def check_quotes(
     is_spaced: bool = False,
     on_rows: Callable[[str, str], object] = refuse,
 ) -> None:
-    """Refuse an unclosed quote and a second heading, and report a quoted cell whose lines look like rows.
+    """Refuse an unclosed or escaped quote and a second heading, and report a quoted cell whose lines look like rows.
 
     Parameters
     ----------
@@ -49,12 +50,16 @@ def check_quotes(
     Raises
     ------
     LogError
-        A quote is never closed, or another file begins below the first line.
+        A quote is never closed, or is escaped by a backslash, or another file begins below the first line.
     """
     usual = heading = None
-    for begin, record in _records(lines, separator, first, is_spaced):
+    cell = f"(?:^|(?<={re.escape(separator)}))" + (" *" if is_spaced else "") + '"[^"]*(?:""[^"]*)*'
+    escaped = re.compile(rf'{cell}(?<=\\)"[^{re.escape(separator)}\s"]')
+    for begin, record in _records(lines, re.compile(f'{cell}("?)'), first):
         if not record:
             refuse(f"{file}, line {begin}", "a quote opens a cell here and is not closed; delete it, or close it")
+        if '\\"' in (text := "".join(record)) and escaped.search(text):
+            refuse(f"{file}, line {begin}", 'a quote within a cell is escaped by a backslash; export it doubled, as ""')
         start = record[0].rstrip()
         heading = start.removeprefix(_BYTE_ORDER_MARK) if heading is None else heading
         if begin > first and start and (start.startswith(_BYTE_ORDER_MARK) or start == heading):
@@ -70,10 +75,8 @@ def check_quotes(
             )
 
 
-def _records(lines: Iterable[str], separator: str, first: int, is_spaced: bool) -> Iterator[tuple[int, list[str]]]:
+def _records(lines: Iterable[str], quoted: re.Pattern[str], first: int) -> Iterator[tuple[int, list[str]]]:
     """The number of the first line of each record, and its lines; no lines if the record is never closed."""
-    before = f"(?:^|(?<={re.escape(separator)}))" + (" *" if is_spaced else "")
-    quoted = re.compile(before + '"[^"]*(?:""[^"]*)*("?)')
     record: list[str] = []
     begin = first
     for number, line in enumerate(lines, start=first):

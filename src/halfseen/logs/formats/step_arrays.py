@@ -20,19 +20,16 @@ import numpy as np
 from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.installation import extra
 from halfseen.logs.columns import CUT
+from halfseen.logs.formats import array_doubts
+from halfseen.logs.formats.array_doubts import NEXT_SEEN, SEEN, TIMEOUTS
 from halfseen.logs.formats.step_clocks import ends_by_steps, even_ends, refuse_other_unit, refuse_rounded
 from halfseen.logs.formats.steps import Ending, StepColumns, StepRules, StepTable, columns_of, refuse_early, require
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, refused
-from halfseen.shapes import Float, Int, Shaped
+from halfseen.shapes import Float, Shaped
 
-SEEN, NEXT_SEEN = "observations", "next_observations"
-TIMEOUTS = ("timeouts", "truncations", "episode_terminals")
-"""Names of the flags of truncation, of which the first that is there counts; the last are also true of other ends."""
 END_OF_DATA = "end-of-data"
-FEWEST_ENDS = 3
-"""Number of ends of episodes that show whether observations jump there."""
 MOST_GROUPS = 1000
 """Largest number of groups at one level, since groups may contain one another."""
 
@@ -76,11 +73,14 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None, *, missin
         warn(place, f"there are no {TIMEOUTS[0]}, so an episode ends only where it terminated")
     observed = steps.observed([name for name in steps.columns if _is_below(name, SEEN)])
     following = _following(steps, observed)
+    array_doubts.warn_of_runs(place, named["done"], is_terminal)
     ends = np.array(sorted({*(np.flatnonzero(is_terminal | is_timeout) + 1), len(is_terminal)} - {0}), dtype=np.int64)
     of_steps = begins = np.append(0, ends).astype(np.int64)
     rows = np.arange(len(is_terminal))
-    if following is not None:
-        _warn_of_others_below(place, observed, following, ends)
+    if following is None:
+        array_doubts.warn_of_shifted_ends(place, observed, ends)
+    else:
+        array_doubts.warn_of_others_below(place, observed, following, ends)
         # Append to each episode the observation after its last step.
         rows, begins = np.insert(rows, ends, len(rows) + ends - 1), begins + np.arange(len(begins))
         observed = {name: np.append(values, following[name])[rows] for name, values in observed.items()}
@@ -107,7 +107,9 @@ def _arrays(file: Path, names: dict[str, str]) -> dict[str, np.ndarray]:
     """Read the arrays used, and report those left out."""
     with _opened(file) as (root, num_bytes):
         there = _named(file, root)
-        require(str(file), there, names)
+        are_apart = any(name.endswith(f"/{names['action']}") for name in there)
+        apart = "its episodes are groups: give the folder of a Minari dataset, or write one array of all steps"
+        require(str(file), there, names, apart if are_apart else None)
         asked = {*names.values(), *TIMEOUTS}
         wanted = [name for name in there if name in asked or _is_below(name, SEEN) or _is_below(name, NEXT_SEEN)]
         if not any(_is_below(name, SEEN) for name in wanted):
@@ -192,36 +194,6 @@ def _following(steps: StepColumns, observed: Mapping[str, Any]) -> dict[str, np.
         differing = ", ".join(sorted(set(following) ^ set(observed))[:10])
         raise LogError(f"{steps.place}: {NEXT_SEEN} and {SEEN} differ in {differing}; write both of the same shape")
     return following
-
-
-def _warn_of_others_below(
-    place: str, observed: Mapping[str, Any], following: Mapping[str, Any], ends: Int[np.ndarray, " E"]
-) -> None:
-    """Warn where the observation after a step is not that of the row below, or is the first of the next episode."""
-    is_end = np.isin(np.arange(1, len(next(iter(observed.values()), ()))), ends)
-    is_same, is_jump = np.ones(len(is_end), dtype=bool), False
-    for name, values in observed.items():
-        after, below = following[name][:-1], values[1:]
-        if values.dtype.kind not in "iuf":
-            is_same &= after == below
-            continue
-        is_same &= np.isclose(after, below, equal_nan=True)
-        with np.errstate(invalid="ignore"):  # infinity, which is refused later
-            steps = np.abs(after.astype(np.float64) - values[:-1])
-        is_jump |= is_end.sum() >= FEWEST_ENDS and np.median(steps[is_end]) > steps[~is_end].max(initial=0.0)
-    apart = np.flatnonzero(~is_same & ~is_end)
-    if len(apart):
-        warn(
-            place,
-            f"in row {apart[0]} {NEXT_SEEN} are not the {SEEN} of the row below, yet no episode ends there, as in "
-            f"{len(apart):,} rows: mark the ends of episodes in {TIMEOUTS[0]}, or put the steps in order",
-        )
-    if is_jump and is_same[is_end].all():
-        warn(
-            place,
-            f"{NEXT_SEEN} at the ends of episodes are the first {SEEN} of the next, as environments that reset "
-            "themselves return them, and count as seen at a cut; record the final observation in their place",
-        )
 
 
 # Minari.

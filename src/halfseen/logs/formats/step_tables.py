@@ -22,6 +22,8 @@ from halfseen.errors import LogError, warn
 from halfseen.logs.columns import first_true, refuse_repeated, shown
 from halfseen.logs.formats.as_text import from_list_texts
 from halfseen.logs.formats.csv_folder import read_cells, refuse_semicolons, refuse_text_among_numbers
+from halfseen.logs.formats.nested_steps import LAST, unnested
+from halfseen.logs.formats.partitions import partition_of
 from halfseen.logs.formats.quotes import check_quotes
 from halfseen.logs.formats.step_clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.steps import StepColumns, StepRules, StepTable, begins_of, refuse_early, require
@@ -33,7 +35,7 @@ from halfseen.shapes import Bool, Float, Int, Shaped
 
 SEEN = "observation"
 EPISODES = ("episode_id", "episode_index", "episode")
-FIRST, LAST, TERMINAL = "is_first", "is_last", "is_terminal"
+FIRST, TERMINAL, DISCOUNT = "is_first", "is_terminal", "discount"
 TABLE_FILES = (".parquet", ".csv", ".arrow", ".feather")
 _COMPRESSED = re.compile(rb"\x28\xb5\x2f\xfd|\x04\x22\x4d\x18", re.DOTALL)
 """First bytes of an Arrow buffer compressed by zstd or lz4; the eight bytes before are its uncompressed size."""
@@ -78,7 +80,7 @@ def read_steps(
     if label is None:
         require(place, table.column_names, {"beginning of an episode": FIRST}, f"add it, or {EPISODES[0]}")
     seen = [name for name in table.column_names if name.startswith(SEEN)]
-    read = {*named.values(), LAST, label, *seen, *({FIRST} & {*table.column_names})} - {None}
+    read = {*named.values(), LAST, label, *seen, *({FIRST, DISCOUNT} & {*table.column_names})} - {None}
     steps = StepColumns(place, {name: as_array(place, table, name) for name in read})
     is_last, is_terminal = steps.flags(LAST), steps.flags(named["done"])
     names, begins = _episodes(steps, label)
@@ -88,6 +90,7 @@ def read_steps(
     rewards, remedy = steps.numbers(named["reward"], "reward"), _remedy_of_acting_ends(named["done"])
     _refuse_without_step(place, names, begins, is_step, remedy)
     _warn_of_unread(place, table, {*named.values()}, rewards[~is_step], remedy)
+    _refuse_zero_discount(steps, names, last, is_step, named["done"])
     observed = steps.observed(seen)
     actions = steps.actions(named["action"], is_step)
     step_s = rules.step_in(place)
@@ -146,6 +149,26 @@ def _refuse_without_step(
         )
 
 
+def _refuse_zero_discount(
+    steps: StepColumns,
+    names: Sequence[int | str],
+    last: Int[np.ndarray, " E"],
+    is_step: Bool[np.ndarray, " N"],
+    done: str,
+) -> None:
+    """Refuse an episode that terminates by the discount of its last action, and by its flag does not (`LogError`)."""
+    discount = steps.columns.get(DISCOUNT, np.ones(0))
+    if discount.dtype.kind not in "iuf" or discount.shape != is_step.shape or not discount[is_step].any():
+        return
+    # In a last row without an action the discount is 0, however the episode ended.
+    is_wrong = (discount[last - ~is_step[last]] == 0) & ~steps.flags(done)[last]
+    if (wrong := first_true(is_wrong)) is not None:
+        raise LogError(
+            f"{steps.place}, episode {shown(names[wrong])}: {DISCOUNT} is 0 at its last action, as where an episode "
+            f"terminates, yet its last row is not {done}; fix one of the two, or leave {DISCOUNT} out"
+        )
+
+
 def _warn_of_unread(
     place: str, table: pa.Table, read: set[str], last_rewards: Float[np.ndarray, " E"], remedy: str
 ) -> None:
@@ -158,7 +181,7 @@ def _warn_of_unread(
         warn(
             place,
             f"{num_lost} rewards other than 0 are in rows that are {LAST}, which hold no action: they are not read; "
-            f"{remedy}",
+            f"if each is of the action in the row before, move all up a row; {remedy}",
         )
 
 
@@ -226,15 +249,18 @@ def _read(file: Path, columns: list[str] | None, names: Collection[str]) -> pa.T
     with whole_table(file):
         kind = file.suffix.lower()
         if kind == ".parquet":
-            table = parquet_file(file).read(columns)
+            table = unnested(parquet_file(file).read(columns))
         else:
-            table = _csv(file, names) if kind == ".csv" else _arrow(file)
+            table = _csv(file, names) if kind == ".csv" else unnested(_arrow(file))
     missing = [name for name in columns or () if name not in table.column_names]
     if missing:
         raise LogError(
             f"{file}: there is no column {missing[0]!r} among {', '.join(table.column_names)}; copy it again"
         )
     refuse_repeated(file, table.column_names)
+    for name, value in partition_of(file).items():
+        if name not in table.column_names and (name in EPISODES or name.startswith(SEEN)) and columns is None:
+            table = table.append_column(name, pa.array([value or None] * len(table), pa.string()))
     return table.replace_schema_metadata(None)
 
 

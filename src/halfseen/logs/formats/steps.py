@@ -219,6 +219,12 @@ class StepTable:
             raise LogError(f"{place}, episode {name}: it has no step; leave the episode out")
         end_s = self.ends_s[np.cumsum(num_steps) - 1]
         refuse_counts(place, self.ends_s, num_steps)
+        is_first = np.isin(np.arange(len(self.rewards)), np.cumsum(num_steps) - num_steps)
+        if (np.isnan(self.rewards) == is_first).all() and not is_first.all():
+            raise LogError(
+                f"{place}: the first reward of each episode, and no other, is missing, so each seems to be of the "
+                "action before; move it up to the row of that action"
+            )
         ends: dict[str, Any] = {
             "trajectory": self.names,
             "end_s": end_s,

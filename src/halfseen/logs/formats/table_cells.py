@@ -10,7 +10,7 @@ import io
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from statistics import multimode
@@ -23,8 +23,10 @@ import pyarrow as pa
 from halfseen.errors import ArgumentError, LogError, did_you_mean, warn
 from halfseen.logs.columns import refuse_repeated, shown
 from halfseen.logs.folder import JSON_LINES, TEXT_FILES, WORKBOOKS
+from halfseen.logs.formats.nested_steps import LAST, has_steps
+from halfseen.logs.formats.partitions import partition_of
 from halfseen.logs.formats.quotes import check_quotes
-from halfseen.logs.formats.step_tables import LAST, whole_table
+from halfseen.logs.formats.step_tables import whole_table
 from halfseen.logs.formats.table_mapping import TextLayout
 from halfseen.logs.formats.workbooks import rows_of_sheet
 from halfseen.logs.parquet import parquet_file
@@ -80,7 +82,7 @@ def is_event_table(file: Path, is_mapped: bool) -> bool:
         return kind in (*TEXT_FILES, *JSON_LINES, *TYPED_FILES, *WORKBOOKS, *OTHER_SHEETS)
     try:
         if kind in TYPED_FILES:
-            return LAST not in parquet_file(file).schema_arrow.names
+            return not has_steps(parquet_file(file).schema_arrow)
         with opened(file, TABLE) as held:
             # Without null bytes UTF-16 looks like ASCII.
             return LAST.encode() not in held.readline(ROWS_LOOKED_AT * 1000).replace(b"\0", b"")
@@ -89,7 +91,7 @@ def is_event_table(file: Path, is_mapped: bool) -> bool:
 
 
 def read_cells(file: Path, layout: TextLayout) -> Cells:
-    """Read a text or Parquet file; it may have no rows.
+    """Read a text or Parquet file, and the columns after which its folders are named; it may have no rows.
 
     Raises
     ------
@@ -98,6 +100,12 @@ def read_cells(file: Path, layout: TextLayout) -> Cells:
     LogError
         It is missing or broken, a row and the heading differ in their number of cells, or the layout is not found.
     """
+    cells = _read(file, layout)
+    there = {name: [text] * len(cells.rows) for name, text in partition_of(file).items() if name not in cells.columns}
+    return replace(cells, columns=cells.columns | there)
+
+
+def _read(file: Path, layout: TextLayout) -> Cells:
     refuse_workbook(file)
     kind = kind_of_table(file)
     if kind in TYPED_FILES:
@@ -320,7 +328,8 @@ def heading_of(file: Path) -> int:
         with whole_table(file):
             ways = [{number: len(row) for number, row in islice(rows_of_sheet(file, None).items(), ROWS_LOOKED_AT)}]
     else:
-        lines = list(enumerate(_text(file, None)[0].splitlines()[:ROWS_LOOKED_AT], start=1))
+        texts = _text(file, None)[0].splitlines()[:ROWS_LOOKED_AT]
+        lines = [(number, line) for number, line in enumerate(texts, start=1) if not line.startswith("#")]
         ways = [{number: line.count(separator) for number, line in lines} for separator in SEPARATORS]
     found: dict[int, int] = {}
     for sizes in ways:

@@ -61,6 +61,11 @@ class Clock(msgspec.Struct, **Given):
         return [self.begin] if isinstance(self.begin, str) else self.begin or []
 
     @property
+    def has_dates(self) -> bool:
+        """Whether times are dates, so that none comes twice."""
+        return self.unit is None and self.since is None and (self.format is None or "%d" in self.format)
+
+    @property
     def columns(self) -> list[tuple[str, str]]:
         """All columns of times, each with the key that names it."""
         return [("clock.field", name) for name in self.fields] + [("clock.begin", name) for name in self.begins]

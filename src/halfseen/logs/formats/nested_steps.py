@@ -1,0 +1,30 @@
+"""Tables of RLDS with one row an episode, whose steps are a list of structs, as data frames of TFDS become Parquet."""
+
+import pyarrow as pa
+
+from halfseen.logs.parquet import compute
+
+LAST = "is_last"
+
+
+def has_steps(schema: pa.Schema) -> bool:
+    """Whether a table has one row a step, or one row an episode with its steps."""
+    return LAST in schema.names or _nested(schema) is not None
+
+
+def unnested(table: pa.Table) -> pa.Table:
+    """One row a step, which repeats the columns of its episode; any other table unchanged."""
+    name = _nested(table.schema)
+    if name is None:
+        return table
+    lists = table[name].combine_chunks()
+    rows = table.drop_columns([name]).take(compute.list_parent_indices(lists))
+    steps = pa.Table.from_struct_array(compute.list_flatten(lists))
+    return pa.Table.from_arrays([*rows.columns, *steps.columns], names=[*rows.column_names, *steps.column_names])
+
+
+def _nested(schema: pa.Schema) -> str | None:
+    """The column of steps, if any."""
+    lists = (each for each in schema if pa.types.is_list(each.type) or pa.types.is_large_list(each.type))
+    structs = (each for each in lists if pa.types.is_struct(each.type.value_type))
+    return next((each.name for each in structs if each.type.value_type.get_field_index(LAST) >= 0), None)
