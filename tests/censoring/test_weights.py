@@ -245,6 +245,7 @@ def test_weights_add_up_to_one_minus_kaplan_meier_of_two_packages(name):
     assert weights.mean() == pytest.approx(total, abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param("aids, death", marks=pytest.mark.slow), "gbsg2", "veterans", "whas500", "aml"]
 )

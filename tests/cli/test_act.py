@@ -66,6 +66,7 @@ def test_a_decision_on_named_actions_loads_no_compiler_and_no_perception(flat, t
     assert set(said.splitlines()[-1].split()) & heavy == set()
 
 
+@pytest.mark.slow
 def test_named_actions_are_decided_as_the_learner_does(flat, tmp_path):
     learner = read_policy(flat).policy
     for stage, x1 in ((1, 0.4), (1, -0.9), (2, 0.3)):
@@ -226,6 +227,7 @@ def test_a_label_is_worth_what_the_law_says_to_a_policy_that_counts_views(tables
         assert (by in run(policy, cloud, *words)) is is_so
 
 
+@pytest.mark.slow
 def test_a_history_tells_what_was_seen_before_and_what_it_holds_is_not_counted_again(refused, tables, begun, coloured):
     held = log_odds_of(tables, TABLE, past=past_in(begun))
     np.testing.assert_array_equal(log_odds_of(tables, coloured[0], past=past_in(begun)), held)

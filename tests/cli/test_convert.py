@@ -61,6 +61,7 @@ def test_round_the_forms_and_back(logs):
     assert same(read_csv("e"), logs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
 def test_a_bag_by_its_folder_its_file_or_a_folder_of_bags(storage):
     Path("cell.toml").write_text(WITHOUT_CLOUD.replace('field = "data"', "", 1))

@@ -40,6 +40,7 @@ def folders(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_says_the_verdict_first_then_the_numbers(folders):
     lines = told(folders / "policy", "--logs", folders / "aside").output.splitlines()
     assert lines[0].startswith("Better: it earns ")
@@ -53,6 +54,7 @@ def test_says_the_verdict_first_then_the_numbers(folders):
     assert len(lines) == 12
 
 
+@pytest.mark.slow
 def test_each_baseline_has_a_line_and_an_entry(folders):
     (folders / "thumb.csv").write_text("x,action\n1,A\n,B\n")
     given = ["logging", "sequence:A", folders / "thumb.csv", folders / "policy"]
@@ -92,6 +94,7 @@ def test_the_logs_that_it_was_learned_from_are_told_apart(folders):
     )
 
 
+@pytest.mark.slow
 def test_whole_numbers_are_no_text_in_evaluate_report_and_baselines(tmp_path):
     kinds = {"whole": {"A": 1, "B": 2}, "text": {"A": "1", "B": "2"}}
     for kind, names in kinds.items():

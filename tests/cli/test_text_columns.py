@@ -89,6 +89,7 @@ def test_a_column_that_is_asked_for_and_cannot_be_looked_at_is_refused(folder, t
     assert not (tmp_path / "p").exists()
 
 
+@pytest.mark.slow
 def test_act_takes_text_as_csv_or_json_and_tells_what_speaks_for_the_action(folder, tmp_path):
     as_json = state(tmp_path, "a.json", '{"x": 0.1, "colour": "blue", "is_heavy": true, "stage": 1}')
     as_csv = state(tmp_path, "a.csv", "colour,is_heavy,x,stage\nblue,True,0.1,1\n")
@@ -176,6 +177,7 @@ def logs(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_learn_and_evaluate_read_a_log_by_the_rules(logs, tmp_path):
     rules = ("--missing", "median+flag,is_heavy=last")
     learned = shell.report("learn", logs, "--out", tmp_path / "p", *rules, *PLAIN)

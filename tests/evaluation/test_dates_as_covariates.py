@@ -35,6 +35,7 @@ def test_the_origin_of_a_covariate_changes_no_value(options):
         np.testing.assert_allclose(found(moved(origin), **options), whole, rtol=1e-5, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("origin", ORIGINS)
 def test_a_linear_q_refuses_a_covariate_that_its_sums_would_lose(origin):
     told = r"covariate 'x1' is about .*e\+0[689] and differs by 0.9\d, which rounding would erase from a linear Q"

@@ -164,6 +164,7 @@ def test_a_multiple_must_clearly_bring_more():
     assert clearly_best(np.stack([first, noise - noise.mean()]), of_trajectory) == 0
 
 
+@pytest.mark.slow
 def test_it_counts_less_as_a_log_grows():
     logs = [preferring(0, n=n, misses=2.0) for n in (40, 400, 4000)]
     weight = [preference_of(log).behaviour_weight for log in logs]

@@ -180,6 +180,7 @@ def test_a_shard_of_a_killed_worker_is_summed_again(known, tmp_path, monkeypatch
     assert (tmp_path / "killed").exists()
 
 
+@pytest.mark.slow
 def test_a_disk_without_room_changes_nothing(known, tmp_path, monkeypatch):
     stream = streamed(known, tmp_path / "logs", 90)
     learner = CensoredQLearner(2, ACTIONS, **DEFAULT, q_function="linear")
@@ -188,6 +189,7 @@ def test_a_disk_without_room_changes_nothing(known, tmp_path, monkeypatch):
     assert bits(learner.fit(stream)) == one
 
 
+@pytest.mark.slow
 def test_a_bad_shard_names_its_trajectory(known, tmp_path):
     stream = streamed(known, tmp_path / "logs", 40)
     file = tmp_path / "logs" / "stages.parquet"

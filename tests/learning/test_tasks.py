@@ -208,6 +208,7 @@ def test_an_action_may_be_seen_in_one_stage_alone():
     assert pooled.unseen_ == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stages", ["separate", "pooled"])
 def test_a_stream_sees_what_memory_does(tmp_path, stages):
     logs = always_cut(horizon=2, num_trajectories=60, num_cut=50)

@@ -149,6 +149,7 @@ HELD = (*GRIPPER, (Can(0.0, -0.02, 0.035, 0.09), 0.10))
 BEHIND = (Can(-0.1, 0.05, 0.04, 0.15), Can(0.1, 0.05, 0.035, 0.15))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("standing", "floating", "eye_m"),
     [

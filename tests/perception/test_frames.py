@@ -95,6 +95,7 @@ def test_an_organised_cloud_with_a_viewpoint_is_the_image_that_it_is_without(pla
     np.testing.assert_allclose(again, found.points_m, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_occlusions_are_those_of_the_untouched_cloud_and_places_are_in_the_frame_of_the_file(plain, tmp_path):
     cloud, _ = plain
     (eye_m, turn), view = POSES[1], perceive(cloud)

@@ -68,6 +68,7 @@ def tables(draw, num_objects=3):
     return hides * ~np.eye(num_objects, dtype=bool)
 
 
+@pytest.mark.slow
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(hides=tables(), order=st.permutations(range(3)))
 def test_the_order_of_the_cups_changes_nothing_and_nobody_beats_the_bound(hides, order):

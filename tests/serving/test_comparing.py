@@ -112,6 +112,7 @@ def test_a_better_policy_is_promoted_and_a_sentence_says_so_once(cell, tmp_path)
     assert (again.standing, again.courses.num, said) == (compared.standing, compared.courses.num, [])
 
 
+@pytest.mark.slow
 def test_a_worse_policy_is_stopped_within_the_loss_that_was_allowed(cell, tmp_path):
     rng = np.random.default_rng(2)
     compared, said, client = cell(Terms(0.5, most_loss=20.0))

@@ -191,6 +191,7 @@ def test_where_nobody_says_what_held_it_is_taken_as_act_takes_it(recorded, table
             break
 
 
+@pytest.mark.slow
 def test_what_a_law_tells_of_looks_is_recorded(tables, shows, tmp_path):
     folder, law, labels = tmp_path / "logs", law_of("shipped"), "object,label\n0,dirty\n1,clean\n2,dirty\n"
     (tmp_path / "t.pcd").write_bytes(shows(*CANS))
@@ -383,6 +384,7 @@ def test_the_path_of_the_guide_is_answered_and_recorded(recorded, shows, tmp_pat
     assert stages["reward"].tolist() == [4.6, -0.4]
 
 
+@pytest.mark.slow
 def test_beyond_the_horizon_the_trajectory_ends_and_is_recorded(recorded, tables, shows, tmp_path):
     cloud = shows(*CANS)
     for stage in range(1, HORIZON + 1):

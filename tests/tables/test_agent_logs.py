@@ -36,6 +36,7 @@ def viewed(request, team_logs):
     return request.param, agent_view(team_logs, request.param)
 
 
+@pytest.mark.slow
 def test_its_stages_are_its_decisions_but_for_waits(team_logs, viewed):
     robot, own = viewed
     mine = team_logs.stages[team_logs.stages["robot"] == robot]

@@ -175,6 +175,7 @@ def test_the_log_of_one_robot_is_none_of_a_team():
         CensoredQLearner.for_team(2, horizon=5).fit(table_log())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("num_robots", [2, 3])
 def test_a_policy_of_another_number_of_robots_does_not_play(learned, num_robots):
     policy = learned.policy_ if num_robots == 3 else ReservingPolicy(team_of(3), RULE)

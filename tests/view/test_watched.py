@@ -147,6 +147,7 @@ def test_each_stage_shows_its_cloud_and_what_the_log_knew(in_folder):
     assert watched.stages[-1].events[-1].startswith("the trajectory ")
 
 
+@pytest.mark.slow
 def test_a_policy_is_asked_at_each_stage(in_folder, tmp_path):
     logs, folder = in_folder
     stored = kept(CensoredQLearner.for_table(3, reg=0.1), logs, tmp_path / "policy")

@@ -50,6 +50,7 @@ def followed(env, seed):
     return rows, returns, ends
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 @OPTIONS
 def test_its_agents_are_the_table_of_the_one_agent_that_decides_for_all(options, seed):

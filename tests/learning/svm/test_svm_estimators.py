@@ -56,6 +56,7 @@ def test_scikit_learns_own_checks(name):
     assert {log["check_name"] for log in logs if log["status"] == "xfail"} == set(expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["structured", "frame"])
 def test_pipeline_search_and_cross_validation(form):
     X, time, is_finished = cut_log(200)

@@ -149,6 +149,7 @@ def test_log_odds_are_made_anew_as_the_labels_say_them():
     assert mending_of(none, FITTED.seeing, 0.6) is None
 
 
+@pytest.mark.slow
 def test_one_that_is_never_cut_and_one_whose_every_trajectory_is_one_stage_are_learned():
     assert CensoredQLearner.for_table(HORIZON).fit(logs_of(30, cut_share=0.0)).assisted_.basis == "model"
     short = replace(FITTED, horizon=1)

@@ -102,6 +102,7 @@ def test_it_learns_with_laws_unless_something_is_said_of_linear_q():
         CensoredQLearner.for_team(2, laws="some")
 
 
+@pytest.mark.slow
 def test_a_learned_policy_follows_the_myopic_look_and_what_it_misses(logs, monkeypatch):
     monkeypatch.setattr(learning, "fitted_team_excess", lambda config, layouts, seed: TeamExcess.none())
     learner = CensoredQLearner.for_team(2, HORIZON, censoring="kaplan-meier").fit(logs)
