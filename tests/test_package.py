@@ -31,7 +31,6 @@ def test_a_package_loads_nothing_heavy_that_it_does_not_need():
     assert run("\n".join(code), check=True).stdout.splitlines() == [statement for statement, _ in LOADS]
 
 
-@pytest.mark.slow
 def test_lazy_names_are_listed_and_unknown_ones_are_told():
     failed = run(f"import halfseen.world as package\n{EVERY_NAME}\npackage.Wrold", check=False)
     assert "has no attribute 'Wrold'; it has ActionSpace, " in failed.stderr

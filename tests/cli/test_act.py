@@ -66,7 +66,6 @@ def test_a_decision_on_named_actions_loads_no_compiler_and_no_perception(flat, t
     assert set(said.splitlines()[-1].split()) & heavy == set()
 
 
-@pytest.mark.slow
 def test_named_actions_are_decided_as_the_learner_does(flat, tmp_path):
     learner = read_policy(flat).policy
     for stage, x1 in ((1, 0.4), (1, -0.9), (2, 0.3)):

@@ -40,7 +40,6 @@ def folders(tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow
 def test_says_the_verdict_first_then_the_numbers(folders):
     lines = told(folders / "policy", "--logs", folders / "aside").output.splitlines()
     assert lines[0].startswith("Better: it earns ")

@@ -108,7 +108,6 @@ def test_a_robot_has_the_law_that_its_file_names(refused, tmp_path):
     assert "did you mean 'assumed'?" in told
 
 
-@pytest.mark.slow
 def test_learn_says_for_how_many_robots_and_keeps_it(house, learned):
     lines = learned.stdout.splitlines()
     assert "looks at    tables of 2 robots, and what each is doing; it decides for the robot that is free" in lines

@@ -89,7 +89,6 @@ def test_a_column_that_is_asked_for_and_cannot_be_looked_at_is_refused(folder, t
     assert not (tmp_path / "p").exists()
 
 
-@pytest.mark.slow
 def test_act_takes_text_as_csv_or_json_and_tells_what_speaks_for_the_action(folder, tmp_path):
     as_json = state(tmp_path, "a.json", '{"x": 0.1, "colour": "blue", "is_heavy": true, "stage": 1}')
     as_csv = state(tmp_path, "a.csv", "colour,is_heavy,x,stage\nblue,True,0.1,1\n")

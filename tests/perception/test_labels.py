@@ -120,7 +120,6 @@ def test_a_label_is_dirty_from_the_fewest_stained_pixels_on_and_a_share_in_view_
         StainCounter()(view, replace(picture.cloud, colours=None))
 
 
-@pytest.mark.slow
 def test_the_same_view_gives_the_same_labels_but_for_noise(surfaces, labelled):
     for labels in zip(*(labelled(surfaces, seed) for seed in (1, 2, 3)), strict=True):
         counts = np.array([label.num_stained_px for label in labels])

@@ -84,7 +84,6 @@ def test_a_policy_that_looks_at_text_comes_back_with_its_categories(kept, logs, 
         assert stored.ranges(stage)["is_heavy"] == (0.0, 1.0)
 
 
-@pytest.mark.slow
 def test_a_policy_of_a_team_comes_back_with_what_it_improves_upon_and_decides_for_no_single_robot(kept, logs, fitted):
     again, policy, states = read_policy(kept / "team"), fitted["team"].policy_, states_of(logs["team"], 6)
     assert (again.num_robots, again.horizon, again.policy.num_robots, again.is_table) == (2, 6, 2, False)

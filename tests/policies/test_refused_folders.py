@@ -226,7 +226,6 @@ def test_nonsense_anywhere_in_the_schema_is_refused_or_harmless(copied, kind):
                 read_policy(written).ranges(2)
 
 
-@pytest.mark.slow
 def test_what_is_there_is_replaced_only_when_asked_and_only_a_policy(written, logs, fitted, tmp_path):
     flat, before = logs["flat"], (written / RECORD).read_bytes()
     with pytest.raises(ArgumentError, match="it already exists"):

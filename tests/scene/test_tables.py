@@ -131,7 +131,6 @@ def test_cloud_is_the_depth_image_lifted(picture):
     assert np.array_equal(points_m, points_m.astype(np.float32))
 
 
-@pytest.mark.slow
 def test_returns_of_a_cup_lie_on_that_cup(table, picture):
     points_m = table.camera.world_from_camera.apply(picture.cloud.points_m).reshape(480, 640, 3)
     for index, (cup, pose) in enumerate(zip(table.cups, table.world_from_cup, strict=True)):
