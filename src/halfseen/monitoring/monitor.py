@@ -123,8 +123,8 @@ def monitored(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Monitored:
 
     Raises
     ------
-    PolicyError
-        The policy's folder keeps nothing of the training log.
+    ArgumentError, PolicyError
+        `stored` is not a stored policy, or its folder keeps nothing of the training log.
     LogError
         The policy knows none of the log's actions, or decided none of its trajectories.
     """

@@ -84,6 +84,11 @@ def changes_in(logs: Logs, policy: Any = None, seed: int = 0) -> list[Change]:
         for policies of tables, nor with more than `MOST_FEATURES` features.
     seed
         Seed of the permutations.
+
+    Raises
+    ------
+    ArgumentError
+        `logs` is not a `Logs`, or `seed` is not a whole number.
     """
     checked_log(logs, Logs)
     check_seed(seed)
