@@ -282,3 +282,24 @@ def test_a_log_that_names_another_policy_is_refused_and_followed_until_this_one_
 
     monkeypatch.setattr(module.time, "sleep", nap)
     assert told(policy, "--logs", tmp_path / "next", "--follow").output.count("waiting: ") == 1
+
+
+def test_a_log_that_is_replaced_while_it_is_followed_is_waited_for(folders, tmp_path, monkeypatch):
+    policy, logs = folders / "policy", clinic(1, num=30)
+    logs.write(tmp_path / "next")
+
+    def copies():
+        (tmp_path / "next").rename(tmp_path / "away")
+        yield
+        yield
+        (tmp_path / "away").rename(tmp_path / "next")
+        yield
+        raise KeyboardInterrupt
+
+    copying = copies()
+    monkeypatch.setattr(module.time, "sleep", lambda _: next(copying))
+    output = told(policy, "--logs", tmp_path / "next", "--follow").output
+    assert output.count("waiting: ") == 1
+    assert output.count("No alarm") == 2
+    with refused("no such folder"):
+        told(policy, "--logs", tmp_path / "none", "--follow")

@@ -14,7 +14,7 @@ from halfseen.cli import options
 from halfseen.cli.inputs import law_of, refuse_output
 from halfseen.cli.messages import answer, say, tell_warning
 from halfseen.cli.options import SHIPPED
-from halfseen.errors import ArgumentError, NothingRecordedError
+from halfseen.errors import ArgumentError, LogError, NothingRecordedError
 from halfseen.text_table import aligned
 from halfseen.writing import write_file
 
@@ -219,11 +219,12 @@ def monitor(
         try:
             read = read_logs(logs, missing=stored.missing())
             found = monitored(stored, read if since is None else later(read, since), seed)
-        except NothingRecordedError as error:
-            if not follow:
+        except LogError as error:
+            # A log that was read may be replaced just now.
+            if not follow or not (said or isinstance(error, NothingRecordedError)):
                 raise
-            if not said:
-                said = f"waiting: {error}"
+            if (waits := f"waiting: {error}") != said:
+                said = waits
                 tell_warning(said)
             time.sleep(every)
             continue
