@@ -286,11 +286,12 @@ def test_a_second_halfseen_that_answers_the_same_controller_is_told(side):
     assert side.look(controller).error is None
 
 
-def test_a_trajectory_that_no_comparison_dealt_is_cut_where_one_begins(flat, tmp_path):
-    side = Side(flat, tmp_path)
+@pytest.mark.parametrize("is_compared", [False, True])
+def test_a_trajectory_is_cut_where_a_comparison_begins_or_ends_within_it(flat, tmp_path, is_compared):
+    side = Side(flat, tmp_path, is_compared=is_compared)
     controller = asking()
     side.look(controller)
-    side.is_compared = True
+    side.is_compared = not is_compared
     side.begin_again()
     side.leave()
     assert side.logs().trajectories["cause"].tolist() == [REQUESTS_LOST]
