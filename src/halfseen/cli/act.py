@@ -229,17 +229,17 @@ def monitor(
             time.sleep(every)
             continue
         command = shlex.join(["halfseen", "monitor", str(policy), "--logs", str(logs), "--seed", str(seed), *anew])
-        if page is not None:
-            from halfseen.view.monitor_page import monitor_page
-            from halfseen.view.page import write_page
-
-            write_page(monitor_page(found, read.reward_unit, command), page, overwrite=True)
         asked = {"policy": str(policy), "logs": str(logs), "since": since, "seed": seed}
         report: dict[str, Any] = {**asked, **found.as_dict()}
         text = json.dumps(report, indent=None if follow else 2, allow_nan=False) if as_json else "\n".join(lines(found))
         if text != said:
             say(text)
         said = text
+        if page is not None:
+            from halfseen.view.monitor_page import monitor_page
+            from halfseen.view.page import write_page
+
+            write_page(monitor_page(found, read.reward_unit, command), page, overwrite=True)
         if found.findings or found.foreign:
             sys.exit(ALARM if found.findings else NOT_JUDGED)
         if not follow:
