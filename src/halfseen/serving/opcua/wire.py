@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from halfseen.errors import ArgumentError, HalfseenError
+from halfseen.errors import ArgumentError, HalfseenError, LogError
 from halfseen.logs.columns import FINISHED
 from halfseen.serving.comparing import COMPARISON
 from halfseen.serving.in_service import InService
@@ -205,7 +205,13 @@ class Wire:
         if facts.waits_for == "reward" and not is_cut:
             await self.served.rewarded(seen.number("reward"), elapsed_s)
         if ending:
-            await self.served.ended(ending if is_cut else None, elapsed_s)
+            try:
+                await self.served.ended(ending if is_cut else None, elapsed_s)
+            except LogError:
+                if not is_cut:
+                    raise
+                # A clock that went back keeps no trajectory open.
+                await self.served.ended(ending)
 
     async def _decide(self, request: int, seen: Snapshot) -> int | str:
         """Decide and record the next stage."""
