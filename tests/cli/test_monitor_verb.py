@@ -11,9 +11,11 @@ import shell
 
 from chromium import PAGES, faults_of, in_browser
 from halfseen.cli import act as module
+from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder, Logs, read_logs
 from halfseen.policies.folder import read_policy
+from halfseen.view import page as page_module
 from holes import holed
 from refusals import refused
 from small_logs import kept, log_of
@@ -115,6 +117,18 @@ def test_the_page_tells_the_same_and_is_replaced_only_if_asked(folders, tmp_path
     assert "no alarm" in page.read_text(encoding="utf-8")
     with refused("it already exists"):
         told(folders / "policy", "--logs", folders / "next", "--page", page)
+
+
+def test_an_alarm_is_told_even_if_its_page_cannot_be_written(folders, tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise ArgumentError("the disk is full")
+
+    said = []
+    monkeypatch.setattr(module, "say", said.append)
+    monkeypatch.setattr(page_module, "write_page", full)
+    with refused("the disk is full"):
+        told(folders / "policy", "--logs", folders / "moved", "--page", tmp_path / "service.html")
+    assert said[0].startswith("Alarm at trajectory ")
 
 
 def test_a_log_that_grows_is_followed_until_the_alarm(folders, tmp_path, monkeypatch):
@@ -282,3 +296,24 @@ def test_a_log_that_names_another_policy_is_refused_and_followed_until_this_one_
 
     monkeypatch.setattr(module.time, "sleep", nap)
     assert told(policy, "--logs", tmp_path / "next", "--follow").output.count("waiting: ") == 1
+
+
+def test_a_log_that_is_replaced_while_it_is_followed_is_waited_for(folders, tmp_path, monkeypatch):
+    policy, logs = folders / "policy", clinic(1, num=30)
+    logs.write(tmp_path / "next")
+
+    def copies():
+        (tmp_path / "next").rename(tmp_path / "away")
+        yield
+        yield
+        (tmp_path / "away").rename(tmp_path / "next")
+        yield
+        raise KeyboardInterrupt
+
+    copying = copies()
+    monkeypatch.setattr(module.time, "sleep", lambda _: next(copying))
+    output = told(policy, "--logs", tmp_path / "next", "--follow").output
+    assert output.count("waiting: ") == 1
+    assert output.count("No alarm") == 2
+    with refused("no such folder"):
+        told(policy, "--logs", tmp_path / "none", "--follow")

@@ -270,6 +270,8 @@ def test_what_is_said():
     assert stopped.startswith("the policy is stopped after 2 trajectories, 1 by the policy: it may have lost ")
     assert stopped.endswith(", and its gain stays unknown")
     going_on = Standing(60, 10, 0.4, -0.5, 1.8, 3.0, 0.2, "going on", 16494)
+    is_known = str(replace(going_on, verdict="stopped", worst_loss=21.4))
+    assert is_known.endswith("gain is −0.5 to +1.8 a trajectory, and it may have lost 21")
     assert str(going_on).endswith("gain is −0.5 to +1.8 a trajectory; about 16,000 more would decide it")
     hidden = str(replace(going_on, hidden=0.25))
     assert hidden.endswith("a trajectory, of which cuts may hide 0.25; about 16,000 more would decide it")

@@ -15,6 +15,7 @@ from halfseen.logs import read_logs
 from halfseen.monitoring import monitored
 from halfseen.monitoring.dealing import Terms
 from halfseen.policies.folder import read_policy
+from halfseen.serving import watching
 from halfseen.serving.comparing import LiveComparison
 from halfseen.serving.in_service import taken_into_service
 from halfseen.serving.watching import MOST_TRAJECTORIES, Recent, Watch, found_of
@@ -215,6 +216,15 @@ def test_a_log_that_cannot_be_watched_is_told_once(flat, tmp_path):
             watch._thread.join()
     assert len(said) == 1
     assert said[0].startswith("The log is not monitored: ")
+
+
+def test_ctrl_c_before_the_log_is_watched_is_no_error(flat, tmp_path, monkeypatch):
+    def interrupted(thread):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(watching.threading.Thread, "start", interrupted)
+    with pytest.raises(KeyboardInterrupt), Watch(flat, tmp_path / "logs") as watch:
+        watch.ended()
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from halfseen.logs.journal import JOURNAL, JournalEvents
 from halfseen.logs.recorder import torn_by
 from halfseen.monitoring.dealing import Terms, standing
 from halfseen.policies import read_policy
-from halfseen.serving import comparing
+from halfseen.serving import comparing, limits
 from halfseen.serving.comparing import LiveComparison, courses_of
 from halfseen.serving.in_service import taken_into_service
 
@@ -143,6 +143,19 @@ def test_another_policy_begins_a_comparison_of_its_own(cell, tmp_path):
         compared.of(compared.service)
     logs = read_logs(tmp_path / "logs")
     assert courses_of(logs, compared.policy, compared.name).num == 5
+
+
+def test_a_verdict_that_the_log_already_shows_is_told_when_a_server_begins(cell, flat, tmp_path, monkeypatch):
+    _, said, client = cell()
+    with client as asked:
+        run(asked, np.random.default_rng(2), 8)
+    assert said == []
+    monkeypatch.setattr(limits, "serve", lambda _app, _at, begun: begun())
+    words = ["--port", "0", "--monitor-every", "0", "--record", tmp_path / "logs", "--against", tmp_path / "rule.csv"]
+    for more, told in (([], []), (["--most-loss", "0.01"], ["the policy is stopped after 8 trajectories, 6 by"])):
+        result = CliRunner().invoke(serve, [str(word) for word in (flat, *words, *more)], catch_exceptions=False)
+        _, *lines = result.stdout.splitlines()
+        assert [line[: len(at)] for line, at in zip(lines, told, strict=True)] == told
 
 
 def test_without_a_comparison_there_is_nothing_to_say(flat):

@@ -138,9 +138,47 @@ def test_a_log_that_cannot_hold_the_states_of_a_policy_is_refused_before_anybody
     with LogRecorder(tmp_path / "logs") as recorder:
         recorder.begin_trajectory().begin_stage(state, action="A", probability=1.0)
     with RecordedTrajectories(tmp_path / "logs") as recorded, pytest.raises(PolicyError, match=trouble):
-        recorded.refuse_other_columns(read_policy(flat).policy)
+        recorded.refuse_other_log(read_policy(flat))
     with RecordedTrajectories(tmp_path / "new") as recorded:
-        recorded.refuse_other_columns(read_policy(flat).policy)
+        recorded.refuse_other_log(read_policy(flat))
+
+
+@pytest.mark.parametrize(
+    ("stage", "trouble"),
+    [
+        ({"action": "A"}, "probability is given, unlike in stages before"),
+        ({"action": 0, "probability": 1.0}, "action 'A' is a text, but earlier ones are number"),
+        ({"action": "A", "probability": 1.0, "robot": 0}, "robot is missing"),
+        ({"action": "A", "probability": 1.0, "objects": [{"object": 1}]}, "the policy takes no objects"),
+    ],
+)
+def test_a_log_that_cannot_hold_decisions_is_refused_before_anybody_asks(flat, tmp_path, stage, trouble):
+    with LogRecorder(tmp_path / "logs") as recorder:
+        recorder.begin_trajectory().begin_stage({"x1": 0.1, "x2": 1}, **stage)
+    with RecordedTrajectories(tmp_path / "logs") as recorded, pytest.raises(PolicyError, match=trouble) as refusal:
+        recorded.refuse_other_log(read_policy(flat))
+    assert "record into another folder" in str(refusal.value)
+
+
+def test_a_policy_of_other_actions_or_of_tables_is_not_reloaded(flat, tables, tmp_path):
+    folder = copytree(flat, tmp_path / "policy")
+    with client_of(folder, tmp_path / "logs") as client:
+        decided(client, x1=0.1, x2=1)
+        cut(client)
+        numbered = flat_with(action=lambda rows: rows["action"].map({"A": 0, "B": 1, "C": 2}))
+        written(folder, numbered, actions={1: [0, 1], 2: [0, 2]})
+        assert "action 0 is a number, but earlier ones are text" in refused(client.post("/reload"), 422)
+        copytree(tables, folder, dirs_exist_ok=True)
+        assert "the policy takes objects, unlike" in refused(client.post("/reload"), 422)
+        decided(client, x1=0.1, x2=1)
+
+
+def test_a_number_that_comes_as_a_truth_value_at_first_shuts_out_no_others(flat, tmp_path):
+    with client_of(flat, tmp_path / "logs") as client:
+        for x1 in (True, 0.5):
+            decided(client, x1=x1, x2=1)
+            cut(client)
+    assert read_logs(tmp_path / "logs").stages["x1"].tolist() == [1.0, 0.5]
 
 
 def test_a_policy_of_other_covariates_is_not_reloaded(flat, tmp_path):

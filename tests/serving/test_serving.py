@@ -163,6 +163,9 @@ def test_a_trajectory_in_progress_is_told_and_cut_when_the_server_stops(flat, tm
         client.post("/reward", json={"reward": 1.0, "elapsed_s": 2.0})
         assert "leave it out" in refused(client.post("/decide", json=SEEN | {"stage": 1}), 409)
         assert "is before" in refused(client.post("/end", json={"ending": "finished", "elapsed_s": 1.0}), 422)
+    with client_of(flat, tmp_path / "logs") as client:
+        told = refused(client.post("/decide", json=SEEN | {"stage": 2}), 409)
+        assert told == "stage is 2, but no trajectory is in progress, as a server that stops cuts it; begin a new one"
     assert read_logs(tmp_path / "logs").trajectories["cause"].tolist() == ["server stopped"]
 
 

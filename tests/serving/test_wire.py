@@ -253,6 +253,23 @@ def test_a_reward_that_is_none_is_not_recorded(side, outcome, doubts):
     assert side.look(controller).state == "ResultReady"
 
 
+def test_a_trajectory_whose_clock_went_back_can_be_cut(side):
+    controller, state = asking(), {"x1": 0.1, "x2": 1}
+    side.look(controller)
+    controller.ask(2, state, reward=1.0, elapsed_s=5.0)
+    side.look(controller)
+    controller.ask(3, state, reward=1.0, elapsed_s=3.0)
+    assert "elapsed_s 3.0 is before the 5.0" in side.look(controller).error
+    for ending, facts in (("finished", "Error"), ("operator", "Ready")):
+        controller.values["ending"] = ending
+        assert side.look(controller).state == facts
+    controller.ask(1, state, ending="")
+    assert side.look(controller).state == "ResultReady"
+    side.leave()
+    assert side.logs().trajectories["cause"][0] == "operator"
+    assert 1.0 < side.logs().trajectories["end_s"][0] <= 5.0
+
+
 def test_a_controller_that_lost_its_numbers_begins_a_trajectory_and_the_one_before_is_cut(side):
     controller, state = Played(request=40), {"x1": 0.1, "x2": 1}
     controller.ask(1, state)
@@ -286,11 +303,12 @@ def test_a_second_halfseen_that_answers_the_same_controller_is_told(side):
     assert side.look(controller).error is None
 
 
-def test_a_trajectory_that_no_comparison_dealt_is_cut_where_one_begins(flat, tmp_path):
-    side = Side(flat, tmp_path)
+@pytest.mark.parametrize("is_compared", [False, True])
+def test_a_trajectory_is_cut_where_a_comparison_begins_or_ends_within_it(flat, tmp_path, is_compared):
+    side = Side(flat, tmp_path, is_compared=is_compared)
     controller = asking()
     side.look(controller)
-    side.is_compared = True
+    side.is_compared = not is_compared
     side.begin_again()
     side.leave()
     assert side.logs().trajectories["cause"].tolist() == [REQUESTS_LOST]

@@ -14,7 +14,7 @@ from halfseen.cli import options
 from halfseen.cli.inputs import law_of, refuse_output
 from halfseen.cli.messages import answer, say, tell_warning
 from halfseen.cli.options import SHIPPED
-from halfseen.errors import ArgumentError, NothingRecordedError
+from halfseen.errors import ArgumentError, LogError, NothingRecordedError
 from halfseen.text_table import aligned
 from halfseen.writing import write_file
 
@@ -219,26 +219,27 @@ def monitor(
         try:
             read = read_logs(logs, missing=stored.missing())
             found = monitored(stored, read if since is None else later(read, since), seed)
-        except NothingRecordedError as error:
-            if not follow:
+        except LogError as error:
+            # A log that was read may be replaced just now.
+            if not follow or not (said or isinstance(error, NothingRecordedError)):
                 raise
-            if not said:
-                said = f"waiting: {error}"
+            if (waits := f"waiting: {error}") != said:
+                said = waits
                 tell_warning(said)
             time.sleep(every)
             continue
         command = shlex.join(["halfseen", "monitor", str(policy), "--logs", str(logs), "--seed", str(seed), *anew])
-        if page is not None:
-            from halfseen.view.monitor_page import monitor_page
-            from halfseen.view.page import write_page
-
-            write_page(monitor_page(found, read.reward_unit, command), page, overwrite=True)
         asked = {"policy": str(policy), "logs": str(logs), "since": since, "seed": seed}
         report: dict[str, Any] = {**asked, **found.as_dict()}
         text = json.dumps(report, indent=None if follow else 2, allow_nan=False) if as_json else "\n".join(lines(found))
         if text != said:
             say(text)
         said = text
+        if page is not None:
+            from halfseen.view.monitor_page import monitor_page
+            from halfseen.view.page import write_page
+
+            write_page(monitor_page(found, read.reward_unit, command), page, overwrite=True)
         if found.findings or found.foreign:
             sys.exit(ALARM if found.findings else NOT_JUDGED)
         if not follow:

@@ -157,7 +157,7 @@ def serve(
         nullcontext() if record is None or not monitor_every else Watch(*watched) as watch,
     ):
         if trajectories is not None:
-            trajectories.refuse_other_columns(served.service.stored.policy)
+            trajectories.refuse_other_log(served.service.stored)
         rng = np.random.default_rng(seed) if trajectories is None else trajectories.draws(seed)
         recent = Recent(watch)
         served.answering = Answering(epsilon, table, rng, trajectories, recent=recent)
@@ -170,6 +170,9 @@ def serve(
 
         def begun() -> None:
             click.echo(f"{url}  (Ctrl+C ends)")
+            held = served.answering.comparison
+            if held is not None and held.standing.verdict != "going on":
+                say(f"{held.standing}.")
             if watch is not None and goes_on:
                 watch.ended()
 

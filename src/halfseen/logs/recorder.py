@@ -107,7 +107,7 @@ class LogRecorder:
             raise ArgumentError(f"{folder}: it holds finished logs; record into another folder")
         if not isinstance(part_bytes, int) or part_bytes < 1:
             raise ArgumentError(f"part_bytes is {part_bytes!r}; give a whole number of bytes, such as {PART_BYTES}")
-        self._check, self._keeps_events = check, keeps_events
+        self._folder, self._check, self._keeps_events = folder, check, keeps_events
         self._names: set[int | str] = set()
         self._torn: list[dict[str, Any]] = []
         self.num_earlier_stages = 0
@@ -189,6 +189,19 @@ class LogRecorder:
     def kinds_of_objects(self) -> dict[str, str] | None:
         """The same for the columns of objects; empty if stages have no objects."""
         return self._journal.known.schema.objects
+
+    def check_choice(self, action: Any, probability: Any) -> None:
+        """Refuse a choice of an action that the next stage could not hold, whatever else it holds.
+
+        Raises
+        ------
+        LogError
+            Actions so far are of another kind, or come without a probability, or with a robot.
+        """
+        schema = self._journal.known.schema
+        if schema.covariates is not None:
+            chosen = {"action": action, "probability": probability}
+            replace(schema, covariates=None, objects=None).with_stage({}, None, chosen, str(self._folder))
 
     def close(self, cause: str | None = UNKNOWN_CAUSE) -> None:
         """Cut the trajectory in progress, if any, and release the folder; without a cause it may be resumed.

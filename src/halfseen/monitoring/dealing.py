@@ -103,7 +103,9 @@ class Standing:
         known = f"{so_far}: the policy's gain is {_signed(self.low)} to {_signed(self.high)} a trajectory"
         if self.hidden:
             known = f"{known}, of which cuts may hide {self.hidden:.2g}"
-        if self.verdict != "going on":
+        if self.verdict == "stopped":
+            return f"{known}, and it may have lost {self.worst_loss or 0.0:.2g}"
+        if self.verdict == "promoted":
             return known
         more = "how many more" if self.more is None else f"about {float(f'{self.more:.2g}'):,.0f} more"
         return f"{known}; {'it is unknown ' if self.more is None else ''}{more} would decide it"

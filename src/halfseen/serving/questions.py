@@ -104,8 +104,11 @@ def seen_in_state(
     texts = policy.categories.items()
     new = {name: given for name, of in texts if isinstance(given := full.get(name), str) and given not in of}
     known = known_covariates(policy, {**full, **{name: policy.categories[name][0] for name in new}}, BODY)
-    # A category may come as a number, and is text in the log.
-    begun = Begun({**full, **{name: at for name, at in known.items() if isinstance(at, str) and name not in new}})
+    # A category may come as a number, and is text in the log; a number as a truth value, and others follow.
+    ranges: Any = service.stored.ranges(1) or {}
+    numbers = {name: int(at) for name, at in full.items() if isinstance(at, bool) and {*ranges.get(name, ())} - {0, 1}}
+    texts_in_log = {name: at for name, at in known.items() if isinstance(at, str) and name not in new}
+    begun = Begun({**full, **numbers, **texts_in_log})
     if new:
         return AskedState(partial(_refuse_new, new, policy.categories), stage, begun)
     return AskedState(lambda: decider.decide_known(known, stage, filled), stage, begun)
@@ -119,6 +122,9 @@ def _refuse_new(new: Mapping[str, str], categories: Categories) -> Decision:
 
 
 def _check_next(stage: int, next_stage: int | None) -> None:
+    if next_stage == 1 < stage:
+        stopped = "no trajectory is in progress, as a server that stops cuts it; begin a new one"
+        raise Refusal(409, f"stage is {stage}, but {stopped}")
     if next_stage not in (None, stage):
         raise Refusal(409, f"stage is {stage}, but the trajectory in progress is at stage {next_stage}; leave it out")
 

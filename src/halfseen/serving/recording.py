@@ -18,6 +18,8 @@ from halfseen.logs import Logs
 from halfseen.logs.columns import shown
 from halfseen.logs.missing import is_flag
 from halfseen.logs.recorder import LogRecorder, TrajectoryRecorder
+from halfseen.policies.folder.stored import StoredPolicy
+from halfseen.policies.rule_files import FINISH
 from halfseen.serving.models import DecisionAnswer, EndAnswer, RecordingProgress, Refusal
 
 TEXT, TRUTH = "text", "truth value"
@@ -157,17 +159,25 @@ class RecordedTrajectories:
             remedy = "POST it to /reward, or the trajectory's end to /end"
             raise Refusal(409, f"{self._where}: it has no reward yet; {remedy}")
 
-    def refuse_other_columns(self, policy: Any) -> None:
-        """Refuse to continue a log in which the states of a policy of named actions cannot be recorded.
+    def refuse_other_log(self, stored: StoredPolicy) -> None:
+        """Refuse to continue a log in which the decisions of a policy cannot be recorded.
 
         Raises
         ------
         PolicyError
-            The log lacks a covariate of the policy, or has text where the policy takes numbers, or the other way round.
+            The log has objects, or no probabilities, or other kinds of actions or covariates than the policy.
         """
-        kinds, filling = self._recorder.kinds, getattr(policy, "filling", None)
+        policy, kinds = stored.policy, self._recorder.kinds
         if kinds is None:
             return
+        if stored.is_table != bool(self._recorder.kinds_of_objects):
+            wants = "takes objects" if stored.is_table else "takes no objects"
+            raise PolicyError(f"the policy {wants}, unlike {self._folder}; record into another folder")
+        try:
+            self._recorder.check_choice(FINISH if stored.is_table else policy.actions[0], probability=1.0)
+        except LogError as error:
+            raise PolicyError(f"the decisions do not fit the log: {error}, or record into another folder") from error
+        filling = getattr(policy, "filling", None)
         flags = () if filling is None else filling.flags
         for name in getattr(policy, "covariates", ()):
             kind, wants_text = kinds.get(name), name in policy.categories

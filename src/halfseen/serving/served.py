@@ -209,7 +209,7 @@ class Served:
         async with self.lock:
             comparison = self.answering.comparison
             if self.answering.trajectories is not None:
-                self.answering.trajectories.refuse_other_columns(fresh.stored.policy)
+                self.answering.trajectories.refuse_other_log(fresh.stored)
             if comparison is not None:
                 comparison = await to_thread.run_sync(comparison.of, fresh)
             self._next = fresh, comparison

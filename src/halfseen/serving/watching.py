@@ -91,8 +91,9 @@ class Watch:
         is_busy = self._thread is not None and self._thread.is_alive()
         if self._is_new and not is_busy and time.monotonic() >= self._next_s:
             self._is_new = False
-            self._thread = threading.Thread(target=self._look, daemon=True)
-            self._thread.start()
+            thread = threading.Thread(target=self._look, daemon=True)
+            thread.start()
+            self._thread = thread
 
     def _look(self) -> None:
         began_s, digest = time.monotonic(), self.digest

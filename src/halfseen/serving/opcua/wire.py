@@ -19,8 +19,9 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-from halfseen.errors import ArgumentError, HalfseenError
+from halfseen.errors import ArgumentError, HalfseenError, LogError
 from halfseen.logs.columns import FINISHED
+from halfseen.serving.comparing import COMPARISON
 from halfseen.serving.in_service import InService
 from halfseen.serving.models import Refusal, Wired
 from halfseen.serving.opcua.controller import LOST, Controller, Snapshot, connected
@@ -71,11 +72,12 @@ class Wire:
         self.facts = Wired(self.url, "Preoperational", None, None)
 
     def resume(self) -> None:
-        """Resume the deal of a trajectory in progress; cut a trajectory that this comparison did not deal."""
+        """Resume the deal of a trajectory in progress; cut one that another comparison, or none, dealt."""
         comparison, recording = self.served.answering.comparison, self.served.answering.trajectories
-        if comparison is None or recording is None or not recording.columns:
+        if recording is None or not recording.columns:
             return
-        if not comparison.resumed(recording.events):
+        is_its = COMPARISON not in recording.columns if comparison is None else comparison.resumed(recording.events)
+        if not is_its:
             recording.ended(REQUESTS_LOST)
 
     async def check(self) -> None:
@@ -203,7 +205,13 @@ class Wire:
         if facts.waits_for == "reward" and not is_cut:
             await self.served.rewarded(seen.number("reward"), elapsed_s)
         if ending:
-            await self.served.ended(ending if is_cut else None, elapsed_s)
+            try:
+                await self.served.ended(ending if is_cut else None, elapsed_s)
+            except LogError:
+                if not is_cut:
+                    raise
+                # A clock that went back keeps no trajectory open.
+                await self.served.ended(ending)
 
     async def _decide(self, request: int, seen: Snapshot) -> int | str:
         """Decide and record the next stage."""
