@@ -303,6 +303,11 @@ def _learned_without(learner: CensoredQLearner, logs: Logs, fold: Int[np.ndarray
     return learner.unfitted().fit(logs.select(logs.trajectory_ids[fold != k])).policy_
 
 
+def has_probabilities(logs: Logs) -> bool:
+    """Whether the probability of any action was logged."""
+    return "probability" in logs.stages.columns and bool(logs.stages["probability"].notna().to_numpy().any())
+
+
 def _judged(
     policy: CrossFitted,
     learner: CensoredQLearner,
@@ -314,7 +319,6 @@ def _judged(
     workers: Workers,
 ) -> HeldOutVerdict:
     spec = specification(learner.policy_, described(learner.model_), logs)
-    is_logged = "probability" in logs.stages.columns and bool(logs.stages["probability"].notna().to_numpy().any())
     cautions = CAUTIONS if has_margin(learner.policy_) else CAUTIONS[:1]
     with judging(
         policy,
@@ -322,7 +326,7 @@ def _judged(
         against,
         spec.censoring,
         spec.q,
-        "logged" if is_logged else "estimated",
+        "logged" if has_probabilities(logs) else "estimated",
         level,
         learner.random_state,
         trust=trust,
