@@ -133,7 +133,8 @@ class HeldOutVerdict:
     evaluation
         The evaluation pooled over folds; None if there is none.
     caution
-        Multiple of its margin that the evaluated policy uses.
+        Multiple of its margin that the evaluated policy uses. What is vouched for is
+        ``more_cautious(learner.policy_, caution)`` of `halfseen.learning.discrete_policy`, not `learner.policy_`.
     best
         The evaluation of the policy as learned; None if there is none.
     exploration
@@ -213,7 +214,7 @@ def held_out_verdict(
 
     The verdict is about `num_folds` policies that were learned as `learner` was, each from the trajectories outside one
     fold, and not about the learner's own policy, which used every trajectory. They use the caution with the largest
-    claim. If that is impossible (too few trajectories, a fold in which none finished, missing probabilities), the
+    claim. If that is impossible (too few trajectories, a fold in which none finished, some missing probabilities), the
     verdict is ``"inconclusive"``, with the reason.
 
     Parameters
