@@ -390,3 +390,15 @@ def test_what_is_lost_or_kept_for_halfseen_alone_is_told_of_what_is_written(logs
     last = "Kept as notes that only halfseen reads: stages.lamp, trajectories.cause, trajectories.serial."
     assert checked.output.splitlines()[-1] == last
     assert run("a", "--out", "minari:c-v0").output.splitlines()[-1] == last
+
+
+def test_a_covariate_that_has_no_value_is_to_be_left_out():
+    Path("stages.csv").write_text("run,tool,ms,worth,grip,force\na,x,1500,2.5,,1\na,y,2500,1,,\n")
+    Path("cell.toml").write_text(
+        'clock = {field = "ms", unit = "ms", since = "trajectory"}\ntrajectory = {field = "run"}\n'
+        'action = {field = "tool"}\nreward = {field = "worth"}\nending = {finished = "rewarded"}\n'
+        'covariates = {grip = {field = "grip"}, force = {field = "force"}}\n'
+    )
+    said = run("stages.csv", "--mapping", "cell.toml", "--out", "logs").stdout
+    assert "Missing: grip in 2 of 2 stages (100 %); leave it out of the log." in said
+    assert "Missing: force in 1 of 2 stages (50 %); fill it in with --missing when you learn." in said

@@ -70,6 +70,7 @@ def test_ends_with_the_verdict_and_keeps_it(folder, tmp_path, monkeypatch, told)
     assert read_policy(tmp_path / "policy").verdict == judged.as_dict()
     report = json.loads(run(*arguments, "--overwrite", "--json", has_verdict=True).stdout)
     assert report["verdict"]["sentence"] == judged.sentence
+    assert any(note.startswith("the log has no probabilities; the verdict estimates") for note in report["notes"])
     assert json.loads(run(*arguments, "--overwrite", "--json").stdout)["verdict"] is None
 
 

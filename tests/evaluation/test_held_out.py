@@ -300,7 +300,10 @@ def test_what_is_still_to_be_recorded_is_said():
     values = own.values + np.random.default_rng(3).normal(0.1, 1.0, size=100)
     (one,) = compared(contender(values, by_model=0.4), [own._replace(name="theirs")], 0.95)
     assert (one.verdict, one.needed.gain) == ("inconclusive", pytest.approx(0.4))
-    assert "if it truly is the 0.4 more that Q says, about" in one.reason
+    assert "most logs of this size would show the 0.4 more that Q says, so Q may be wrong" in one.reason
+    assert more_trajectories(one.needed, 100).endswith("so Q may be wrong")
+    (one,) = compared(contender(values, by_model=0.2), [own._replace(name="theirs")], 0.95)
+    assert "if it truly is the 0.2 more that Q says, about" in one.reason
     said = more_trajectories(one.needed, 100)
     assert said.startswith("about ")
     assert "more trajectories like these would decide (" in said

@@ -274,6 +274,7 @@ def test_regions_hold_states_in_which_the_policy_departs_from_the_log():
         assert isinstance(region, Region)
         assert 0.0 < region.now < LARGEST_SHARE
         assert set(region.conditions) <= {"stage", "x"}
+        assert 0.0 < region.part <= 1.0
     assert list(found.regions) == sorted(found.regions, key=lambda region: -region.part)
 
 

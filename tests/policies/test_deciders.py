@@ -374,6 +374,7 @@ ROW, FLAG = {"x1": 0.8, "x2": 3.0}, {"x1": (0.0, 1.0), "x2": (0.0, 1.0)}
             {"x1": (0.9, 1.1), "x2": (0.0, 4.0)},
             "A: worth 0.30 more than B; no covariate favours it more than its usual value does.",
         ),
+        ({**ROW, "x1": 0.8004}, 1, {"x1": (0.6, 1.0), "x2": (0.0, 4.0)}, "... no covariate favours it more"),
         (ROW, 1, None, "A: worth 0.30 more than B."),
         ({"x1": True, "x2": 1.0}, 1, FLAG, "... mainly because x1 is 1: at 0, it"),
         ({"x1": False, "x2": 1.0}, 1, FLAG, "... x1 is 0: at 1"),

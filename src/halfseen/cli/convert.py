@@ -142,7 +142,8 @@ def _lines(report: dict[str, Any], is_check: bool) -> list[str]:
     from halfseen.logs.missing import share_of
 
     lines += [
-        f"Missing: {name} in {share_of(count, report['num_stages'])}; fill it in with --missing when you learn."
+        f"Missing: {name} in {share_of(count, report['num_stages'])}; "
+        + ("leave it out of the log." if count == report["num_stages"] else "fill it in with --missing when you learn.")
         for name, count in report["missing"].items()
     ]
     return lines + ([f"Kept as notes that only halfseen reads: {', '.join(hidden)}."] if hidden else [])

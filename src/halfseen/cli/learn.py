@@ -234,18 +234,20 @@ def _changes(log: "Logs | LogStream", learner: "CensoredQLearner") -> list[dict[
 def _judged(
     learner: "CensoredQLearner", log: "Logs | LogStream", seed: int, bar: Progress, trust: tuple[str, ...], workers: Any
 ) -> tuple["HeldOutVerdict", list[str]]:
-    """Judge the learner by cross-validation on the log; with a note if only a sample was used."""
-    from halfseen.evaluation.held_out import MOST_JUDGED, NUM_FOLDS, held_out_verdict
+    """Judge the learner by cross-validation on the log; with notes if only a sample was used, or no probabilities."""
+    from halfseen.evaluation.held_out import MOST_JUDGED, NUM_FOLDS, has_probabilities, held_out_verdict
     from halfseen.learning.streaming import sample_of
     from halfseen.logs import Logs
 
     judging = log if isinstance(log, Logs) else sample_of(log, seed, MOST_JUDGED)
     shown = partial(bar.update, FOLDS / NUM_FOLDS)
     verdict = held_out_verdict(learner, judging, on_progress=shown, trust=trust, workers=workers)
+    estimated = "the log has no probabilities; the verdict estimates them, as `evaluate --propensity estimated` does"
+    notes = [] if has_probabilities(judging) else [estimated]
     if judging.num_trajectories == log.num_trajectories:
-        return verdict, []
+        return verdict, notes
     part = f"{judging.num_trajectories:,} of the {log.num_trajectories:,} trajectories, drawn at random"
-    return verdict, [f"the verdict is about policies learned from {part}"]
+    return verdict, [*notes, f"the verdict is about policies learned from {part}"]
 
 
 def _check_exploration(file: Path, has_verdict: bool, overwrite: bool) -> None:

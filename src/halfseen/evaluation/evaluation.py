@@ -218,6 +218,8 @@ def more_trajectories(needed: Needed | None, num_trajectories: int) -> str:
     """How many more trajectories would decide."""
     if needed is None or np.isinf(needed.times):
         return "no log of practical size would show so small a difference"
+    if needed.times <= 1.0:
+        return "most logs of this size would show the difference that Q says, so Q may be wrong"
 
     def more(times: float) -> str:
         number = (times - 1.0) * num_trajectories

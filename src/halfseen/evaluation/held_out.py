@@ -133,7 +133,8 @@ class HeldOutVerdict:
     evaluation
         The evaluation pooled over folds; None if there is none.
     caution
-        Multiple of its margin that the evaluated policy uses.
+        Multiple of its margin that the evaluated policy uses. What is vouched for is
+        ``more_cautious(learner.policy_, caution)`` of `halfseen.learning.discrete_policy`, not `learner.policy_`.
     best
         The evaluation of the policy as learned; None if there is none.
     exploration
@@ -213,7 +214,7 @@ def held_out_verdict(
 
     The verdict is about `num_folds` policies that were learned as `learner` was, each from the trajectories outside one
     fold, and not about the learner's own policy, which used every trajectory. They use the caution with the largest
-    claim. If that is impossible (too few trajectories, a fold in which none finished, missing probabilities), the
+    claim. If that is impossible (too few trajectories, a fold in which none finished, some missing probabilities), the
     verdict is ``"inconclusive"``, with the reason.
 
     Parameters
@@ -303,6 +304,11 @@ def _learned_without(learner: CensoredQLearner, logs: Logs, fold: Int[np.ndarray
     return learner.unfitted().fit(logs.select(logs.trajectory_ids[fold != k])).policy_
 
 
+def has_probabilities(logs: Logs) -> bool:
+    """Whether the probability of any action was logged."""
+    return "probability" in logs.stages.columns and bool(logs.stages["probability"].notna().to_numpy().any())
+
+
 def _judged(
     policy: CrossFitted,
     learner: CensoredQLearner,
@@ -314,7 +320,6 @@ def _judged(
     workers: Workers,
 ) -> HeldOutVerdict:
     spec = specification(learner.policy_, described(learner.model_), logs)
-    is_logged = "probability" in logs.stages.columns and bool(logs.stages["probability"].notna().to_numpy().any())
     cautions = CAUTIONS if has_margin(learner.policy_) else CAUTIONS[:1]
     with judging(
         policy,
@@ -322,7 +327,7 @@ def _judged(
         against,
         spec.censoring,
         spec.q,
-        "logged" if is_logged else "estimated",
+        "logged" if has_probabilities(logs) else "estimated",
         level,
         learner.random_state,
         trust=trust,

@@ -222,6 +222,8 @@ def _more_trajectories(more: Needed) -> str:
             "there is no significant difference, and a log many times as large would not show one if it is this small"
         )
     gain = f"{abs(more.gain):.3g} {'less' if more.gain < 0 else 'more'}"
+    if more.times <= 1.0:
+        return f"most logs of this size would show the {gain} that Q says, so Q may be wrong"
     times = np.ceil(more.times * 10) / 10
     return f"if it truly is the {gain} that Q says, about {times:.1f} times as many trajectories would decide"
 

@@ -280,7 +280,7 @@ def _learned(name: str, rule: Any, parts: Iterable[Any], flags: Iterable[Any] | 
     if num_missing == num_rows:
         raise LogError(
             f"covariate {name} is null in every one of the {num_rows:,} stages, so no value can replace it; leave "
-            f"column {name!r} of stages out"
+            f"column {name!r} of stages out; of a converted table, leave it out of the mapping"
         )
     if is_text:
         return Fill(rule, CATEGORY if num_missing else None, num_missing)

@@ -194,10 +194,10 @@ def flat_reason(
     start, other = lead(names, q, best, chance_best or {}), next_best(q, best)
     if not policy.covariates or ranges is None or other is None:
         return f"{start}."
-    left = each[1:, best] - each[1:, other]
+    left, ahead = each[1:, best] - each[1:, other], q[best] - q[other]
     least = int(np.argmin(left))
     name = policy.covariates[least]
-    if q[best] - q[other] - left[least] <= least_gap(q):
+    if ahead - left[least] <= least_gap(q) or written_gap(left[least]) == written_gap(ahead):
         return f"{start}; no covariate favours it more than its usual value does."
     is_value, is_other = _written(row[name], 6), _written(instead[name], 3)
     would = f"worth {written_gap(abs(left[least]))} {'more' if left[least] >= 0 else 'less'} than {names[other]}"

@@ -180,3 +180,28 @@ def test_indicators_of_survival_are_no_covariates(draft, name, line):
     made = draft(f"run,tool,ms,worth,{name}\na,x,1500,1,0\na,y,2500,2,1\n")
     assert line in made
     assert f"\n[covariates.{name}]" not in made
+
+
+def test_ends_of_stages_are_empty_where_they_were_cut_and_empty_columns_are_no_covariates(draft):
+    rows = "P1,2026-03-02 06:00:00,,,3.5,place,\nP2,2026-03-02 06:01:00,2026-03-02 06:01:05,,,lift,1.0\n"
+    made = draft(f"pallet,step_start,step_end,vacuum,gap,action,reward\n{rows}")
+    assert '\nfield = "step_end"' in made
+    assert '\nbegin = "step_start"' in made
+    assert '[trajectory]\nfield = "pallet"' in made
+    assert "[covariates.gap]" in made
+    assert "[covariates.vacuum]" not in made
+
+
+def test_times_beside_a_count_of_stages_are_no_covariates(draft):
+    heading = "Part No,Gap 1,Tool 1,Time 1 [s],Gap 2,Tool 2,Time 2 [s],Result"
+    made = draft(f"{heading}\nA,0.1,x,2.5,0.2,y,4.5,ok\nB,0.3,y,3.5,,,,ok\n")
+    assert "[clock]\nfield = \"stage\"  # guess: such as '1' and '2'\nunit = \"s\"" in made
+    assert '\n# [covariates."Time 1 [s]"]' in made
+    assert "\n[covariates.Gap]" in made
+
+
+def test_the_name_of_the_trajectory_in_each_row_is_what_no_event_carries(draft):
+    rows = "06:00:00;1;Start;;\n06:00:01;1;Spalt;;0,5\n06:00:02;1;Griff;Sauger;\n06:00:03;1;Ende;fertig;\n"
+    made = draft(f"Uhrzeit;Nr;Ereignis;Text;Wert\n{rows}{rows.replace(';1;', ';2;').replace('0,5', '0,25')}")
+    assert '[trajectory]\ntopic = ["Start"]  # guess: these events carry it\nfield = "Nr"' in made
+    assert made.count('field = "Nr"') == 1

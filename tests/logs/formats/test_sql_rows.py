@@ -121,7 +121,7 @@ def test_what_is_wrong_is_told_in_one_line(database, monkeypatch):
 @pytest.mark.parametrize(
     ("url", "told"),
     [
-        ("nowhere", "it is not a database address; give DIALECT://"),
+        ("nowhere", "it is no database address; give sqlite:///FILE or DIALECT://"),
         ("sqlite://", "it names no file"),
         ("sqlite:///:memory:", "it names no file"),
         ("sqlite:///none.db", r"sqlite:///none\.db: it cannot be read"),
@@ -133,8 +133,7 @@ def test_what_is_wrong_is_told_in_one_line(database, monkeypatch):
         ("mysql+pymysql://me:hidden@host/cell", r"its driver pymysql is not installed; run: pip install pymysql"),
         (
             "postgresql://me:hidden@host:port/cell",
-            r"postgresql://me:\*\*\*@host:port/cell: it is not a database "
-            "address",
+            r"postgresql://me:\*\*\*@host:port/cell: it is no database address",
         ),
         ("postgresql+psycopg2://me:hid/den@x@host/cell", r"postgresql\+psycopg2://me:\*\*\*@host/cell: "),
         ("mysql+pymysql://me@host/cell?password=hidden", r"me@host/cell\?password=\*\*\*: "),

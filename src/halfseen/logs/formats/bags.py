@@ -20,7 +20,7 @@ How messages become stages:
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise, takewhile
+from itertools import count, pairwise, takewhile
 from pathlib import Path
 from typing import Any, NoReturn, TypeAlias
 
@@ -92,23 +92,20 @@ def read_bag(
     needed = {name: source.topic for name, source in mapping.covariates.items()}
     needed |= {} if mapping.cloud is None else {"cloud": mapping.cloud.topic}
     begin = None if mapping.trajectory is None else mapping.trajectory.topic
-    found: list[tuple[Trajectory, str]] = []
-    objects: list[pd.DataFrame] = []
-    num_begun = 0
-    named: dict[str, str] = {}
+    found, objects = list[tuple[Trajectory, str]](), list[pd.DataFrame]()
+    named, numbers = dict[str, str](), count(1)
     for bag in files:
         of_bag = []
         runs = read_events(bag, mapping, named)
         _warn_of_early(bag, runs, begin)
         for name, events in split(bag, runs, begin, mapping.file, mapping.kept):
-            num_begun += 1
-            trajectory = Trajectory(num_begun if name is None else name, needed, mapping.ending.finished)
+            trajectory = Trajectory(next(numbers) if name is None else name, needed, mapping.ending.finished)
             if begin is not None:
                 trajectory.remedy = f"record a message of {begin} before it"
             with within(bag):
                 trajectory.follow(events)
-            if is_seen(bag, trajectory):
-                of_bag.append(trajectory)
+            of_bag.append(trajectory)
+        of_bag = watched(bag, of_bag)
         if see is not None or keep is not None:
             objects += _objects(bag, of_bag, mapping, see, keep)
         found += [(trajectory, bag.name) for trajectory in of_bag]
@@ -202,14 +199,19 @@ def _deeds(events: list[Event]) -> list[Event]:
     return [event for event in events if event.key in ("action", "reward", "ending")]
 
 
-def is_seen(bag: Path, trajectory: "Trajectory") -> bool:
-    """Whether a trajectory has a stage with all its covariates; if not, warn that it is left out."""
-    topics = trajectory.missing
-    if not topics and (trajectory.end_s != 0 or trajectory.stages[0]["reward"] is not None):
-        return True
-    trouble = f"before any message of {', '.join(topics)} came" if topics else "as it began"
-    warn(bag, f"trajectory {shown(trajectory.name)} was cut {trouble}; it is left out")
-    return False
+def watched(place: str | Path, found: "list[Trajectory]") -> "list[Trajectory]":
+    """Return the trajectories that have a stage with all its covariates; warn of others, once for each trouble."""
+    kept, left = [], dict[str, list[Trajectory]]()
+    for each in found:
+        if each.missing:
+            left.setdefault(f"before any message of {', '.join(each.missing)} came", []).append(each)
+        elif each.end_s == 0 and each.stages[0]["reward"] is None:
+            left.setdefault("as it began; give the time of the cut", []).append(each)
+        else:
+            kept.append(each)
+    for when, of in left.items():
+        warn(place, f"{len(of):,} of {len(found):,} trajectories are left out, such as {shown(of[0].name)}: cut {when}")
+    return kept
 
 
 def _objects(

@@ -35,6 +35,7 @@ from halfseen.logs.formats.table_values import (
     marks_of,
     thousands_mark,
 )
+from halfseen.logs.formats.wide_tables import STAGE
 
 _NO_TOPIC = '# topic = "EVENT"  # no event looks like it; if one carries it, name both'
 _UNIT_WORDS = {
@@ -43,7 +44,7 @@ _UNIT_WORDS = {
     "ns": "nano(s|secs?|seconds?)",
 }
 _UNIT_WORDS |= {"s": "secs?|seconds?|sekunden", "min": "mins?|minutes?|minuten", "h": "hrs?|hours?|stunden"}
-_UNIT_WORDS |= {"d": "days?|dy|tage?"}
+_UNIT_WORDS |= {"d": "days?|dy|(?<!s)tage?"}
 _NO_BEGIN = '# begin = "COLUMN"  # no column looks like it'
 
 
@@ -97,6 +98,8 @@ def _template(file: str, table: Guesses) -> Iterator[str]:
             yield from ("", *_flag_lines(cells, found))
         elif key in found or topic or key in ("trajectory", "action", "reward", "ending"):
             yield from ("", *_entry_lines(cells, key, found, topic))
+        if key == "trajectory" and topic:
+            found = found | _of_names_alone(cells, found, _rows(cells, found, topic))
     yield from _covariate_lines(cells, found, [one for one in topics if not any(one in each for each in like.values())])
 
 
@@ -132,7 +135,7 @@ def _clock_lines(table: Guesses, has_topic: bool) -> Iterator[str]:
         written = json.dumps(table.parts.get(name, name), ensure_ascii=False)
         return f"{key.removeprefix('clock.')} = {_guess(cells, name).replace(_quoted(name), written, 1)}"
 
-    texts = cells.columns[found["clock.field"]]
+    texts = list(filter(None, cells.columns[found["clock.field"]]))
     yield time("clock.field")
     formats = guesses.date_formats(texts)
     begin = time("clock.begin") if "clock.begin" in found else None
@@ -164,9 +167,12 @@ def _count_lines(table: Guesses, texts: Sequence[str], begin: str | None, has_to
         if begin is None and not has_topic and earliest * NANOSECONDS[unit] >= EARLIEST_DATE_NS:
             yield _NO_BEGIN
             return
+    if begin is not None:
+        yield begin
+        return
     since, other = ("stage", "trajectory") if _restarts(table, texts) else ("trajectory", "stage")
     told = f'since = "{since}"  # guess: numbers count from there, or from the "{other}"'
-    yield begin or ("# " if has_topic else "") + told
+    yield ("# " if has_topic else "") + told
 
 
 def _runs_on(table: Guesses, texts: Sequence[str]) -> bool:
@@ -260,10 +266,11 @@ def _flag_lines(cells: Cells, found: dict[str, str]) -> Iterator[str]:
 
 def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> Iterator[str]:
     """Lines of the remaining columns as covariates."""
-    free = [name for name in cells.columns if name not in (*found.values(), ROW)]
+    free = [name for name, texts in cells.columns.items() if name not in (*found.values(), ROW) and any(texts)]
+    is_timed = found.get("clock.field") != STAGE
     for name in [] if "topic" in found else free:
         lines = f"[covariates.{_key(name)}]", f"field = {_guess(cells, name)}"
-        if guesses.is_known_later(name):
+        if guesses.is_known_later(name) or not (is_timed or guesses.LIKE["clock.field"].search(name) is None):
             yield from ("", "# Its name suggests a value known only after the action; such a value is not a covariate.")
             yield from (f"# {line}" for line in lines)
         else:
@@ -279,6 +286,13 @@ def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> 
 def _rows(cells: Cells, found: dict[str, str], topic: list[str]) -> list[int]:
     """Rows of the given events, or all rows."""
     return [row for row in range(len(cells.rows)) if not topic or cells.columns[found["topic"]][row] in topic]
+
+
+def _of_names_alone(cells: Cells, found: dict[str, str], rows: list[int]) -> dict[str, str]:
+    """The column of the trajectory's name, if all rows have one of those in the given rows, where one begins."""
+    column = _filled(cells, found, "trajectory", rows)
+    texts = [] if column is None else cells.columns[column]
+    return {"trajectory": column} if column is not None and {*texts} <= {texts[row] for row in rows} else {}
 
 
 def _filled(cells: Cells, found: dict[str, str], key: str, rows: list[int]) -> str | None:

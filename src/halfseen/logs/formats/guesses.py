@@ -158,7 +158,9 @@ def _span(cells: Cells) -> dict[str, str]:
     """The columns with begin and end times of stages; none if one of the two is missing."""
     times = [name for name, texts in cells.columns.items() if _are_times(texts) and not are_flags(texts)]
     begin = next(filter(BEGIN_LIKE.search, times), None)
-    end = next((name for name in times if name != begin and END_TIME_LIKE.search(name)), None)
+    filled = {name: list(filter(None, texts)) for name, texts in cells.columns.items() if not are_flags(texts)}
+    ends = (name for name, texts in filled.items() if texts and _are_times(texts))  # empty where a stage was cut
+    end = next((name for name in ends if name != begin and END_TIME_LIKE.search(name)), None)
     return {} if begin is None or end is None else {"clock.begin": begin, "clock.field": end}
 
 

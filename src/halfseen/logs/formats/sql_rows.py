@@ -138,7 +138,9 @@ def _connected(url: str, place: str) -> Iterator[Any]:
     except OSError as error:
         raise LogError(f"{place}: it cannot be read ({reason_of(error)}); give the file of a database") from error
     except Exception:  # its text may contain the password
-        raise ArgumentError(f"{place}: it is not a database address; give DIALECT://USER:PASSWORD@HOST/NAME") from None
+        raise ArgumentError(
+            f"{place}: it is no database address; give sqlite:///FILE or DIALECT://USER:PASSWORD@HOST/NAME"
+        ) from None
     try:
         with engine.connect() as connection:
             options = {"postgresql_readonly": True} if engine.dialect.name == "postgresql" else {}

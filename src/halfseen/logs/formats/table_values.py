@@ -292,7 +292,7 @@ def _refuse_not_iso(cells: Cells, column: str) -> None:
         return
     cell = texts[row]
     if not cell:
-        cells.refuse(row, column, "is not a time; every row needs one")
+        cells.refuse(row, column, "is not a time; every row needs one, a cut stage the time of the cut")
     if (form := compact_format(cell)) is not None:
         cells.refuse(row, column, f'is a date without separators; set clock.format = "{form}"')
     if is_numeric(cell):
