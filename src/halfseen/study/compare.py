@@ -56,7 +56,7 @@ def ends_of(names: str | Sequence[str]) -> Sequence[str]:
     return [names, f"{names}_low", f"{names}_high"] if isinstance(names, str) else names
 
 
-def over_repetitions(values: Float[np.ndarray, " R"]) -> Estimate:
+def over_repetitions(values: Float[np.ndarray, " R"] | pd.Series) -> Estimate:
     """Mean over repetitions with its 95 % confidence interval."""
     return estimate_of(np.asarray(values, dtype=np.float64), len(values), LEVEL)
 
