@@ -163,16 +163,16 @@ def serve(
         served.answering = Answering(epsilon, table, rng, trajectories, recent=recent)
         if against is not None and record is not None:
             terms = Terms(most_loss=most_loss) if share is None else Terms(share, most_loss)
-            held = LiveComparison(served.service, against, record, terms, seed, say)
-            served.answering = replace(served.answering, comparison=held)
+            comparison = LiveComparison(served.service, against, record, terms, seed, say)
+            served.answering = replace(served.answering, comparison=comparison)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"
 
         def begun() -> None:
             click.echo(f"{url}  (Ctrl+C ends)")
-            held = served.answering.comparison
-            if held is not None and held.standing.verdict != "going on":
-                say(f"{held.standing}.")
+            comparison = served.answering.comparison
+            if comparison is not None and comparison.standing.verdict != "going on":
+                say(f"{comparison.standing}.")
             if watch is not None and goes_on:
                 watch.ended()
 

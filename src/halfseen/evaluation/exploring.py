@@ -112,11 +112,11 @@ def exploration_of(case: Case) -> Exploration:
     factor[begun] = np.where(taken == wanted, ratio, 1.0)
     left = float((each * factor.cumprod(axis=1)).sum())
     owner = np.nonzero(begun)[0]
-    # The first stage of a trajectory in a region: what depends on its later ones depends on it, too.
-    once = [leaf.hangs[np.unique(owner[leaf.rows], return_index=True)[1]].sum() for leaf in kept]
+    # Each trajectory counts once, by its first stage in a region: what hangs on its later ones hangs on that, too.
+    parts = [leaf.hangs[np.unique(owner[leaf.rows], return_index=True)[1]].sum() for leaf in kept]
     regions = [
         Region(leaf.conditions, str(task.names[leaf.action]), leaf.share, share, float(part) / whole)
-        for leaf, share, part in zip(kept, shares, once, strict=True)
+        for leaf, share, part in zip(kept, shares, parts, strict=True)
     ]
     regions.sort(key=lambda region: -region.part)
     narrower = (whole / left) ** 0.5 if left > 0 else 1.0

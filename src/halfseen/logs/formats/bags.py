@@ -105,7 +105,7 @@ def read_bag(
             with within(bag):
                 trajectory.follow(events)
             of_bag.append(trajectory)
-        of_bag = watched(bag, of_bag)
+        of_bag = usable(bag, of_bag)
         if see is not None or keep is not None:
             objects += _objects(bag, of_bag, mapping, see, keep)
         found += [(trajectory, bag.name) for trajectory in of_bag]
@@ -199,7 +199,7 @@ def _deeds(events: list[Event]) -> list[Event]:
     return [event for event in events if event.key in ("action", "reward", "ending")]
 
 
-def watched(place: str | Path, found: "list[Trajectory]") -> "list[Trajectory]":
+def usable(place: str | Path, found: "list[Trajectory]") -> "list[Trajectory]":
     """Return the trajectories that have a stage with all its covariates; warn of others, once for each trouble."""
     kept, left = [], dict[str, list[Trajectory]]()
     for each in found:

@@ -21,7 +21,7 @@ from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.logs.columns import shown
 from halfseen.logs.formats import event_doubts, table_values
 from halfseen.logs.formats.bag_messages import EARLIEST_DATE_NS, JITTER_NS, Event
-from halfseen.logs.formats.bags import Trajectory, logs_of, split, watched
+from halfseen.logs.formats.bags import Trajectory, logs_of, split, usable
 from halfseen.logs.formats.empty_cells import filled_down, without_missing
 from halfseen.logs.formats.ending_flags import LOG_ENDED, remedy_after_ending, truths, with_ending
 from halfseen.logs.formats.later_rewards import OR_LATER, reward_first, warn_of_first_rewards
@@ -86,7 +86,7 @@ def read_event_table(
         trajectory.follow(events)
         num_stale += wanted.topic is None and event_doubts.is_stale(trajectory, events)
         found.append(trajectory)
-    found = watched(cells.file, found)
+    found = usable(cells.file, found)
     event_doubts.warn_of_stale(cells, wanted, num_stale)
     event_doubts.warn_of_late(cells, wanted, late)
     if wanted.clock.since == "trajectory":
