@@ -235,10 +235,14 @@ def test_folders_named_after_a_value_are_parts_of_one_table(place):
     write_events(place)
     pd.read_parquet("events.parquet").to_parquet("parts", partition_cols=["Lauf"])
     assert "halfseen convert parts --mapping-template" in refusal("parts", "--out", "x")
-    assert 'field = "Lauf"' in run("parts", "--mapping-template").output
+    draft = run("parts", "--mapping-template").output
+    assert 'field = "Lauf"' in draft
+    assert "for: halfseen convert parts --mapping THIS" in draft
     for source in ("parts", "events.parquet"):
         run(source, "--mapping", "events.toml", "--out", f"{source}.out")
     assert same(read_logs("parts.out"), read_logs("events.parquet.out"))
+    Path("events.toml").write_text(Path("events.toml").read_text() + "\n[covariates.none]\nfield = 'none'\n")
+    assert "there is no column 'none' in parts; " in refusal("parts", "--mapping", "events.toml", "--out", "x")
     steps = pd.DataFrame(rows_of(episodes(), [True, False, True]))
     steps.to_parquet("steps.parquet")
     steps.to_parquet("runs", partition_cols=["episode_id"])

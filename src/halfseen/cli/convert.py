@@ -115,7 +115,7 @@ def _give_template(sources: tuple[str, ...], target: str | None) -> None:
     if target is not None and target.startswith((CSV, MINARI)):
         raise ArgumentError(f"--out is {target}, but a mapping is one file; give its name, such as cell.toml")
     table = next((one for one in sources if kind_of(one, is_mapped=True) == "events"), None)
-    text = MAPPING_TEMPLATE if table is None else mapping_of(tables_of_events(Path(table))[0])
+    text = MAPPING_TEMPLATE if table is None else mapping_of(tables_of_events(Path(table))[0], table)
     give_mapping(text, None if target is None else Path(target))
 
 

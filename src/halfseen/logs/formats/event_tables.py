@@ -7,6 +7,7 @@ mapped or not. A trajectory without an ending was cut: "log ended". A clock of n
 begins a trajectory, as that of a controller does when it is restarted.
 """
 
+import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -98,12 +99,13 @@ def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> C
     """Read one file, or several and concatenate their rows."""
     if isinstance(source, str | Path):
         return filled_down(read_cells(Path(source), mapping.table), mapping.table.fill_down)
+    folder = os.path.commonpath([file.parent for file in source])
     tables = [read_cells(file, mapping.table) for file in source if not file.is_file() or file.stat().st_size]
     tables = [filled_down(each, mapping.table.fill_down) for each in tables if len(each.rows)]
     if empty := sorted({*map(str, source)} - {each.file for each in tables}):
         warn(empty[0], f"{len(empty)} of {len(source)} files have no rows, and are skipped; this is the first")
     if not tables:
-        raise LogError(f"{source[0].parent}: all its tables are empty; give at least one with rows")
+        raise LogError(f"{folder}: all its tables are empty; give at least one with rows")
     first, *others = tables
     event_doubts.refuse_copies(tables if mapping.trajectory is not None else ())
     for each in others:
@@ -118,7 +120,7 @@ def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> C
     names = [Path(each.file).name if are_alone else each.file for each in tables]
     places = [f"{name}, {each.word} {row}" for name, each in zip(names, tables, strict=True) for row in each.rows]
     unread = {name: kind for each in tables for name, kind in each.unread.items()}
-    return Cells(str(source[0].parent), columns, places, first.layout, "file", unread)
+    return Cells(folder, columns, places, first.layout, "file", unread)
 
 
 def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:

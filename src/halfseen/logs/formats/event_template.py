@@ -48,15 +48,22 @@ _UNIT_WORDS |= {"d": "days?|dy|(?<!s)tage?"}
 _NO_BEGIN = '# begin = "COLUMN"  # no column looks like it'
 
 
-def mapping_of(file: str | Path) -> str:
+def mapping_of(file: str | Path, source: str | Path | None = None) -> str:
     """Draft a mapping for a table, to be checked and completed by its owner; every guess is marked.
+
+    Parameters
+    ----------
+    file
+        The table.
+    source
+        What the mapping is for: the table, or its folder; None for the table.
 
     Raises
     ------
     LogError
         The table cannot be read.
     """
-    return "\n".join(_template(str(file), guesses.guessed(_read(Path(file))))) + "\n"
+    return "\n".join(_template(str(file), str(source or file), guesses.guessed(_read(Path(file))))) + "\n"
 
 
 def _read(file: Path) -> Cells:
@@ -74,10 +81,10 @@ def _read(file: Path) -> Cells:
     return without_missing(cells, cells.layout.missing)
 
 
-def _template(file: str, table: Guesses) -> Iterator[str]:
+def _template(file: str, source: str, table: Guesses) -> Iterator[str]:
     """Lines of the mapping."""
     cells, found = table.cells, table.found
-    yield f"# What the columns of {file} carry, for: halfseen convert {shlex.quote(file)} --mapping THIS --out LOGS"
+    yield f"# What the columns of {file} carry, for: halfseen convert {shlex.quote(source)} --mapping THIS --out LOGS"
     yield "# Each guess is marked: check and fix it, complete what is missing, and leave out what is not recorded."
     yield from (f"# Column {shown(name)} holds {kind}, which is not read." for name, kind in cells.unread.items())
     topics = list(dict.fromkeys(cells.columns[found["topic"]])) if "topic" in found else []
