@@ -106,6 +106,7 @@ def test_the_last_trajectories_are_those_of_the_log_and_the_comparison_is_that_o
     service = taken_into_service(flat, rule=tmp_path / "rule.csv")
     compared = LiveComparison(service, tmp_path / "rule.csv", tmp_path / "logs", Terms(0.5), 3, print)
     with client_of(flat, tmp_path / "logs", comparison=compared) as asked:
+        assert "<dd>not known yet</dd>" in check_page(asked.get("/"))
         run(asked, np.random.default_rng(0), MOST_TRAJECTORIES + 3, cut=0.4)
         state, text = asked.get("/state").json(), check_page(asked.get("/"))
         assert state["comparison"] == asked.get("/comparison").json()
