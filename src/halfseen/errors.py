@@ -5,7 +5,8 @@
     HalfseenError              everything below; the command line prints it in one line and exits with status 2
     ├── CloudError             a point cloud that cannot be read, or that shows no table
     ├── LogError               a log that breaks an invariant; names the trajectory and the stage
-    │   └── NothingRecordedError  a log that is being recorded holds no stage so far
+    │   ├── NothingRecordedError  a log that is being recorded holds no stage so far
+    │   └── StorageError       the disk cannot store an event of a log
     ├── PlanError              a robot cannot do what it is asked to: out of reach, or something is in the way
     ├── PolicyError            a policy folder that cannot be read, or a policy that does not fit what it is shown
     │   └── OutOfRangeError    a state beyond what the logs of the policy showed
@@ -37,6 +38,10 @@ class CloudError(HalfseenError):
 
 class LogError(HalfseenError):
     """A log breaks an invariant."""
+
+
+class StorageError(LogError):
+    """The disk cannot store an event of a log."""
 
 
 class NothingRecordedError(LogError):

@@ -84,8 +84,11 @@ def test_a_policy_with_a_flag_records_on_after_one_without_and_the_other_way_rou
     assert read_logs(logs).stages["is_heavy_missing"].tolist() == [0, 1, 0]
 
 
+CUT = {"ending": "cut", "cause": "operator"}
+
+
 def cut(client):
-    client.post("/end", json={"ending": "cut", "cause": "operator"})
+    client.post("/end", json=CUT)
 
 
 @pytest.mark.parametrize(
@@ -207,6 +210,34 @@ def test_a_trajectory_in_progress_is_finished_by_the_policy_that_began_it(flat, 
         assert decided(client, x1=0.1, x2=1)["policy"] == fresh
         cut(client)
     assert read_logs(tmp_path / "logs").trajectories["policy_digest"].tolist() == [before, fresh]
+
+
+def test_a_full_disk_is_told_with_a_status_of_its_own_until_there_is_room(flat, tmp_path, monkeypatch):
+    def status_of(client):
+        return client.get("/health").json()["status"]
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with client_of(flat, tmp_path / "logs") as client:
+        decided(client, x1=0.1, x2=1)
+        with monkeypatch.context() as disk:
+            disk.setattr("halfseen.logs.journal_writer._write", full)
+            for address, given in (("/reward", {"reward": 1.0, "elapsed_s": 1.0}), ("/end", CUT)):
+                told = client.post(address, json=given)
+                assert told.status_code == 507
+                assert "make room and give it again" in told.json()["error"]
+                assert status_of(client) == "not recording"
+        client.post("/reward", json={"reward": 1.0, "elapsed_s": 1.0}).raise_for_status()
+        assert status_of(client) == "ok"
+        with monkeypatch.context() as disk:
+            disk.setattr("halfseen.logs.journal_writer._write", full)
+            assert client.post("/decide", json={"x1": 0.1, "x2": 1}).status_code == 507
+        assert decided(client, x1=0.1, x2=1)["stage"] == 2
+        cut(client)
+    logs = read_logs(tmp_path / "logs")
+    assert logs.stages["reward"].tolist()[:1] == [1.0]
+    assert logs.trajectories["ending"].tolist() == ["cut"]
 
 
 def test_a_server_that_begins_again_does_not_draw_the_same_again(flat, tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ import asyncio
 
 import numpy as np
 import pytest
-from asking import refused
+from asking import refused, written
 from starlette.testclient import TestClient
 
 from halfseen.errors import ArgumentError
@@ -309,6 +309,15 @@ def test_a_trajectory_is_cut_where_a_comparison_begins_or_ends_within_it(flat, t
     controller = asking()
     side.look(controller)
     side.is_compared = not is_compared
+    side.begin_again()
+    side.leave()
+    assert side.logs().trajectories["cause"].tolist() == [REQUESTS_LOST]
+
+
+def test_a_trajectory_that_another_policy_began_is_cut_at_a_restart(flat, tmp_path):
+    side = Side(flat, tmp_path)
+    side.look(asking())
+    side.policy = written(tmp_path / "other", reg=5.0)
     side.begin_again()
     side.leave()
     assert side.logs().trajectories["cause"].tolist() == [REQUESTS_LOST]

@@ -13,7 +13,7 @@ from errno import EDQUOT, EFBIG, ENOSPC
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from halfseen.errors import ArgumentError, LogError, within
+from halfseen.errors import ArgumentError, LogError, StorageError, within
 from halfseen.logs import journal
 from halfseen.logs.checks import common_unit
 from halfseen.writing import is_locked
@@ -253,7 +253,7 @@ class JournalWriter:
             with suppress(OSError):
                 self._take_back()
             remedy = "make room" if error.errno in _NO_ROOM else "see to the disk"
-            raise LogError(
+            raise StorageError(
                 f"{self._held.part}: the event cannot be written ({error.strerror}); {remedy} and give it again; all "
                 "earlier events are kept"
             ) from error

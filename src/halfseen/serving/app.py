@@ -168,7 +168,8 @@ async def _reload(served: Served, request: Request) -> models.Reloaded:
 async def _health(wire: "Wire | None", served: Served, request: Request) -> models.Health:
     if wire is None:
         return served.health
-    return replace(served.health, status="ok" if wire.facts.is_deciding else "not deciding", wire=wire.facts)
+    is_deciding = {} if wire.facts.is_deciding else {"status": "not deciding"}
+    return replace(served.health, **is_deciding, wire=wire.facts)
 
 
 async def _openapi(served: Served, request: Request) -> dict[str, Any]:

@@ -12,6 +12,8 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
+from typing import TypeAlias
 
 import numpy as np
 
@@ -139,8 +141,27 @@ def asked(decide: Callable[[], Decision], stage: int, horizon: int) -> Decision 
     return decision
 
 
+Worker: TypeAlias = "SimpleQueue[Callable[[], None]]"
+"""The calls that a thread makes, one after the other."""
+_IDLE: list[Worker] = []
+
+
+def _idle_worker() -> Worker:
+    """Take an idle worker, or start one; a thread for each question would cost a tenth of a decision."""
+    with contextlib.suppress(IndexError):
+        return _IDLE.pop()
+    calls: Worker = SimpleQueue()
+
+    def work() -> None:
+        while True:
+            calls.get()()
+
+    threading.Thread(target=work, daemon=True).start()
+    return calls
+
+
 async def asked_in_time(
-    ask: Callable[[], Decision | SteppedBack], limit_s: float, unanswered: set[threading.Thread]
+    ask: Callable[[], Decision | SteppedBack], limit_s: float, unanswered: set[Worker]
 ) -> Decision | SteppedBack:
     """Ask a policy in a thread; step back after a time limit, and at once while many questions are unanswered.
 
@@ -153,23 +174,25 @@ async def asked_in_time(
     limit_s
         Time limit [s].
     unanswered
-        Threads of questions without an answer so far; updated.
+        Workers of questions without an answer so far; updated.
     """
     if len(unanswered) >= MOST_UNANSWERED:
         return SteppedBack("late", f"the policy has not yet answered {MOST_UNANSWERED} earlier questions")
     loop = asyncio.get_running_loop()
     answer: asyncio.Future[Decision | SteppedBack] = loop.create_future()
 
+    worker = _idle_worker()
+
     def run() -> None:
         found = ask()
-        unanswered.discard(thread)
+        unanswered.discard(worker)
+        _IDLE.append(worker)
         # The loop may be closed by then.
         with contextlib.suppress(RuntimeError):
             loop.call_soon_threadsafe(lambda: answer.done() or answer.set_result(found))
 
-    thread = threading.Thread(target=run, daemon=True)
-    unanswered.add(thread)
-    thread.start()
+    unanswered.add(worker)
+    worker.put(run)
     try:
         return await asyncio.wait_for(answer, limit_s)
     except TimeoutError:

@@ -229,7 +229,10 @@ class Wired(Struct, frozen=True):
 class Health(Struct, frozen=True):
     """That a server answers, and what."""
 
-    status: Annotated[Literal["ok", "not deciding"], _is("The latter while nothing is decided over the wire.")]
+    status: Annotated[
+        Literal["ok", "not deciding", "not recording"],
+        _is("Whether nothing is decided over the wire, or the disk could not store the last event."),
+    ]
     policy: Digest
     kind: Annotated[str, _is("Of the policy.")]
     rule: StepBacks

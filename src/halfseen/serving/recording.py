@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from msgspec import UNSET
 
-from halfseen.errors import LogError, PolicyError
+from halfseen.errors import LogError, PolicyError, StorageError
 from halfseen.logs import Logs
 from halfseen.logs.columns import shown
 from halfseen.logs.missing import is_flag
@@ -235,6 +235,8 @@ class RecordedTrajectories:
         ------
         Refusal
             The previous stage has no reward yet, or a value does not fit this log.
+        StorageError
+            The disk cannot store it.
         """
         self.next_stage(is_of_cloud=begun.is_of_cloud)
         verb, target = reply.verb or reply.action, None if reply.object is UNSET else reply.object
@@ -253,7 +255,7 @@ class RecordedTrajectories:
             self._checked, begun_trajectory = before, self._recorder.trajectory
             if self._trajectory is None and begun_trajectory is not None and not begun_trajectory.is_ended:
                 begun_trajectory.cut(STOPPED)  # a trajectory without stages is not written
-            if not isinstance(error, LogError):
+            if isinstance(error, StorageError) or not isinstance(error, LogError):
                 raise
             raise Refusal(422, f"nothing is decided, as it could not be recorded: {error}") from error
         self._trajectory, self._begun, self._held = trajectory, begun, None

@@ -4,8 +4,8 @@ An answer has the fields of `halfseen act --json`, and the probability of the ac
 """
 
 import asyncio
-import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -16,12 +16,13 @@ import numpy as np
 from anyio import to_thread
 from msgspec import UNSET
 
+from halfseen.errors import StorageError
 from halfseen.logs.columns import DECIDED_BY, RULE
 from halfseen.monitoring.dealing import POLICY
 from halfseen.policies.decision import Decision
 from halfseen.policies.exploration import ExplorationTable, Taken, chance_of, taken, uniform_shares
 from halfseen.serving.comparing import LiveComparison
-from halfseen.serving.in_service import InService, SteppedBack, asked, asked_in_time, taken_into_service
+from halfseen.serving.in_service import InService, SteppedBack, Worker, asked, asked_in_time, taken_into_service
 from halfseen.serving.models import DecisionAnswer, EndAnswer, Health, RecordingProgress, Refusal, StepBacks
 from halfseen.serving.questions import AskedState
 from halfseen.serving.recording import RecordedTrajectories
@@ -185,8 +186,9 @@ class Served:
 
     def __post_init__(self) -> None:
         self.service = self.read()
-        self._unanswered: set[threading.Thread] = set()
+        self._unanswered: set[Worker] = set()
         self._next: tuple[InService, LiveComparison | None] | None = None
+        self._is_stored = True
         self.lock = asyncio.Lock()
 
     def read(self) -> InService:
@@ -248,14 +250,17 @@ class Served:
             if not is_table:
                 seen = look(service)
                 decided = await self._decided(service, seen)
-                reply = self.answering.recorded(seen, self.answering.answer(service, seen, decided))
+                given = self.answering.answer(service, seen, decided)
+                with self._storing():
+                    reply = self.answering.recorded(seen, given)
             else:
                 await check()
                 seen = await to_thread.run_sync(look, service)
                 decided = await self._decided(service, seen)
                 given = self.answering.answer(service, seen, decided)
                 await check()
-                reply = await to_thread.run_sync(self.answering.recorded, seen, given)
+                with self._storing():
+                    reply = await to_thread.run_sync(self.answering.recorded, seen, given)
             self.answering.tally.decisions += 1
             # In a comparison the rule's own trajectories do not step back.
             if isinstance(decided, SteppedBack) and reply.stepped_back is not UNSET:
@@ -275,19 +280,31 @@ class Served:
         """Complete the stage in progress, as `RecordedTrajectories` checks it and does."""
         async with self.lock:
             self.recording.check_in_progress(trajectory)
-            return self.recording.rewarded(reward, elapsed_s, held)
+            with self._storing():
+                return self.recording.rewarded(reward, elapsed_s, held)
 
     async def ended(self, cause: str | None, elapsed_s: float | None = None, trajectory: Any = None) -> EndAnswer:
         """End the trajectory in progress, as `RecordedTrajectories` checks it and does; count it in a comparison."""
         async with self.lock:
             recording, comparison = self.recording, self.answering.comparison
             recording.check_in_progress(trajectory)
-            ended = recording.ended(cause, elapsed_s)
+            with self._storing():
+                ended = recording.ended(cause, elapsed_s)
             if comparison is not None:
                 await to_thread.run_sync(comparison.ended, recording.events)
             self._replace()
             self.answering.recent.ended(recording.events)
             return ended
+
+    @contextmanager
+    def _storing(self) -> Iterator[None]:
+        """Note whether the disk can store an event."""
+        try:
+            yield
+        except StorageError as error:
+            self._is_stored = False
+            raise Refusal(507, str(error)) from error
+        self._is_stored = True
 
     @property
     def recording(self) -> RecordedTrajectories:
@@ -308,4 +325,5 @@ class Served:
         answering, kind = self.answering, self.service.stored.record["kind"]
         recording = UNSET if answering.trajectories is None else answering.trajectories.facts
         compared = UNSET if answering.comparison is None else answering.comparison.facts
-        return Health("ok", self.service.digest, kind, answering.tally, recording, compared)
+        status = "ok" if self._is_stored else "not recording"
+        return Health(status, self.service.digest, kind, answering.tally, recording, compared)

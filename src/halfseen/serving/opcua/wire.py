@@ -20,7 +20,7 @@ from functools import partial
 from typing import Any
 
 from halfseen.errors import ArgumentError, HalfseenError, LogError
-from halfseen.logs.columns import FINISHED
+from halfseen.logs.columns import DECIDED_BY, FINISHED
 from halfseen.serving.comparing import COMPARISON
 from halfseen.serving.in_service import InService
 from halfseen.serving.models import Refusal, Wired
@@ -72,11 +72,15 @@ class Wire:
         self.facts = Wired(self.url, "Preoperational", None, None)
 
     def resume(self) -> None:
-        """Resume the deal of a trajectory in progress; cut one that another comparison, or none, dealt."""
+        """Resume a trajectory in progress and its deal; cut one that another policy or comparison began."""
         comparison, recording = self.served.answering.comparison, self.served.answering.trajectories
         if recording is None or not recording.columns:
             return
-        is_its = COMPARISON not in recording.columns if comparison is None else comparison.resumed(recording.events)
+        if comparison is None:
+            begun_by = recording.columns.get(DECIDED_BY)
+            is_its = COMPARISON not in recording.columns and begun_by == self.served.service.digest
+        else:
+            is_its = comparison.resumed(recording.events)
         if not is_its:
             recording.ended(REQUESTS_LOST)
 
