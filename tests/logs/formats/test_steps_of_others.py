@@ -188,6 +188,13 @@ def test_steps_may_be_a_list_in_the_row_of_their_episode(tmp_path, has_name):
         assert_is(read_steps(tmp_path / f"steps.{kind}", SECONDS), wanted)
 
 
+def test_an_episode_without_steps_is_left_out_and_told(tmp_path):
+    rows = rows_of(episodes(lengths=(2,)), [False])
+    pq.write_table(pa.table({"steps": [rows, [], None]}), tmp_path / "steps.parquet")
+    with pytest.warns(HalfseenWarning, match="left out: 2 of 3 episodes, without steps in 'steps'"):
+        assert read_steps(tmp_path / "steps.parquet", SECONDS).num_trajectories == 1
+
+
 @pytest.mark.filterwarnings("ignore:.*left out are discount")
 def test_a_discount_of_0_at_the_last_action_is_a_terminal_step(tmp_path):
     """As dm_env has it; in the last row, which holds no action, EnvLogger writes 0 however the episode ended."""

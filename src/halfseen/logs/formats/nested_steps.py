@@ -1,7 +1,10 @@
 """Tables of RLDS with one row an episode, whose steps are a list of structs, as data frames of TFDS become Parquet."""
 
+from pathlib import Path
+
 import pyarrow as pa
 
+from halfseen.errors import warn
 from halfseen.logs.parquet import compute
 
 LAST = "is_last"
@@ -12,12 +15,18 @@ def has_steps(schema: pa.Schema) -> bool:
     return LAST in schema.names or _nested(schema) is not None
 
 
-def unnested(table: pa.Table) -> pa.Table:
-    """One row a step, which repeats the columns of its episode; any other table unchanged."""
+def unnested(file: Path, table: pa.Table) -> pa.Table:
+    """One row a step, which repeats the columns of its episode; any other table unchanged.
+
+    Warns of episodes without steps, which leave no row.
+    """
     name = _nested(table.schema)
     if name is None:
         return table
     lists = table[name].combine_chunks()
+    num_empty = len(lists) - len(compute.unique(compute.list_parent_indices(lists)))
+    if num_empty:
+        warn(file, f"left out: {num_empty:,} of {len(lists):,} episodes, without steps in {name!r}")
     rows = table.drop_columns([name]).take(compute.list_parent_indices(lists))
     steps = pa.Table.from_struct_array(compute.list_flatten(lists))
     return pa.Table.from_arrays([*rows.columns, *steps.columns], names=[*rows.column_names, *steps.column_names])

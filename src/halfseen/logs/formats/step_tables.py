@@ -249,9 +249,9 @@ def _read(file: Path, columns: list[str] | None, names: Collection[str]) -> pa.T
     with whole_table(file):
         kind = file.suffix.lower()
         if kind == ".parquet":
-            table = unnested(parquet_file(file).read(columns))
+            table = unnested(file, parquet_file(file).read(columns))
         else:
-            table = _csv(file, names) if kind == ".csv" else unnested(_arrow(file))
+            table = _csv(file, names) if kind == ".csv" else unnested(file, _arrow(file))
     missing = [name for name in columns or () if name not in table.column_names]
     if missing:
         raise LogError(
