@@ -64,6 +64,17 @@ def test_columns_by_stage_have_any_pattern(read_table, draft, pattern):
     assert f'wide = "{pattern}"  # guess' in draft(by_name(pattern))
 
 
+@pytest.mark.parametrize("unit", [" [d]", " (d)", "[d]"])
+def test_a_unit_may_follow_the_stage(read_table, draft, unit):
+    heading, rows = SEEN.split("\n", 1)
+    for stage in "12":
+        heading = heading.replace(f"day.{stage}", f"day.{stage}{unit}")
+    text = f"{heading}\n{rows}"
+    logs = read_table(text, TRIAL.replace('"day"', f'"day{unit}"'))
+    assert (stages(logs, "age", "sofa"), ends(logs)) == (OF_PATIENTS, ENDS)
+    assert 'wide = "{name}.{stage}"  # guess' in draft(text)
+
+
 def test_times_rewards_and_endings_by_stage_and_names_by_row(read_table):
     text = "A1;X1;Y1;lost1;A2;X2;Y2;lost2\n1;0,5;1;0;-1;1,5;2,5;0\n-1;0,75;0;0;1;2;;1\n1;0,25;;1;;;;\n"
     mapping = """

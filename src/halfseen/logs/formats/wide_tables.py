@@ -28,15 +28,17 @@ Stages: TypeAlias = Mapping[str, Mapping[int, str]]
 
 
 def stages_of(names: Collection[str], pattern: str) -> dict[str, dict[int, str]]:
-    """Group the columns that match a pattern."""
+    """Group the columns that match a pattern; a unit may follow the stage, as in ``Time 1 [s]``, and is of the name."""
     before, first, between, second, after = re.split(r"(\{name\}|\{stage\})", pattern)
     name = ".+" if between else r".*\D" if first == "{name}" else r"\D.*"
     part = {"{name}": f"(?P<name>{name})", "{stage}": r"(?P<stage>\d{1,4})"}
     whole = re.escape(before) + part[first] + re.escape(between) + part[second] + re.escape(after)
+    unit = r"(?P<unit> ?\[[^]]*\]| ?\([^)]*\))?"
     found: dict[str, dict[int, str]] = {}
     for column in names:
-        if match := re.fullmatch(whole, column):
-            other = found.setdefault(match["name"], {}).setdefault(int(match["stage"]), column)
+        if match := re.fullmatch(whole + unit, column):
+            name = match["name"] + (match["unit"] or "")
+            other = found.setdefault(name, {}).setdefault(int(match["stage"]), column)
             if other != column:
                 raise LogError(f"columns {other!r} and {column!r} are of one stage; rename one of them")
     return found
