@@ -259,7 +259,7 @@ def evaluate(
         For named actions any object with `actions`, `horizon` and `probabilities`, such as `DiscretePolicy` and
         `FixedSequence`; for tables any deterministic `halfseen.world.Policy`, or one mixed with `UniformPolicy`.
     logs
-        The log.
+        The log; other than the policy's training log, for which the estimate is optimistic (`held_out_verdict` is not).
     against
         One baseline or a list (see `halfseen.evaluation.targets.baselines_of`): the logging policy (``"logging"``), the
         same without its exploration (``"logging-rule"``), a sequence, a rule, or another policy. The verdict
