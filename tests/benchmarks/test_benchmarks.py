@@ -212,7 +212,7 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
         ("against_planner.py", "--sizes", "25", "--logs", "1"),
         ("lies.py", "--logs", "1", "--trajectories", "60"),
         ("wrong_laws.py", "--cases", "news", "stick", "--sizes", "30", "--logs", "1"),
-        ("many_actions.py", "--sizes", "50", "--logs", "1"),
+        ("many_actions.py", "--sizes", "50", "--logs", "1", "--loggers", "half tried"),
         ("relearning.py", "--logs", "2", "--unchanged", "2", "--only", "none", "--after", "100"),
         (
             "service.py",
