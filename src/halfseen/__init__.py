@@ -8,4 +8,4 @@ Importing this package loads none of them. It only registers ``halfseen/Cups-v0`
 
 import halfseen.gym_registration  # noqa: F401
 
-__version__ = "0.1.0.dev0"
+__version__ = "0.1.0"
