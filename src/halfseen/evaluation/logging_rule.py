@@ -50,7 +50,8 @@ def logit(num_rows: int) -> Any:
     """Multinomial logit."""
     from sklearn.linear_model import LogisticRegression
 
-    return LogisticRegression(C=1.0 / RIDGE, solver="newton-cholesky")
+    # A Newton step by a Cholesky factor takes (features × actions)³.
+    return LogisticRegression(C=1.0 / RIDGE, solver="newton-cg", tol=1e-6, max_iter=1000)
 
 
 def ranks(states: Float[np.ndarray, "rows F"]) -> Int[np.ndarray, "rows F"]:
