@@ -114,7 +114,10 @@ def test_every_page_tells_its_pictures_in_words_leaves_no_heading_out_and_loads_
 @pytest.mark.slow
 @PAGES
 def test_everybody_can_read_the_pages(built, width_px, scheme):
-    guide, others = sorted((built / "guide").glob("*.html")), sorted({*built.glob("*.html")} - {built / "genindex.html"})
+    guide, others = (
+        sorted((built / "guide").glob("*.html")),
+        sorted({*built.glob("*.html")} - {built / "genindex.html"}),
+    )
     # One page of the reference is built as another; axe takes ten seconds for a long one, and for the index.
     reference = sorted((built / "reference").rglob("*.html"), key=lambda page: page.stat().st_size)
     some = reference[: len(reference) // 2 : 2 if scheme == "light" else 4]

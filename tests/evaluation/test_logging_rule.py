@@ -136,6 +136,16 @@ def test_the_value_does_not_rest_on_the_model_where_the_log_reveals_the_rule(mon
     assert abs(wrong.value.value - truth.value) < 2.0 * wrong.value.standard_error
 
 
+def test_the_rule_is_fitted_to_the_covariates_of_the_log_and_not_to_the_second_order_terms_of_q(monkeypatch):
+    seen = []
+    monkeypatch.setattr(
+        off_policy, "logging_rule", lambda logs, *given: seen.append(logs) or logging_rule(logs, *given)
+    )
+    logs = logged(slanted, 300)
+    evaluate(Rule(thresholds, ACTIONS, 2), logs, against="logging-rule")
+    assert seen[0].stage_covariates == logs.stage_covariates
+
+
 def test_on_a_table_the_rule_is_a_choice_among_all_objects():
     """The rule washes what is most likely dirty; features of WASH hold that probability."""
     found, trajectories = found_in(table_log(num_trajectories=60), TableTask(), False, 3)

@@ -186,6 +186,7 @@ def _contenders(
     own: Contender,
     problem: EvaluationProblem,
     logs: Logs,
+    known: Logs,
     is_logged: bool,
     is_default: bool,
 ) -> tuple[tuple[Contender, ...], tuple[str, ...]]:
@@ -200,7 +201,8 @@ def _contenders(
             continue
         is_taken, unseen = None, None
         if isinstance(policy, str) and policy == LOGGING_RULE:
-            rule = logging_rule(problem.logs, problem.trajectories, task, problem.fold, is_logged)
+            # Of the covariates as they are: the problem's log holds their products, too.
+            rule = logging_rule(known, problem.trajectories, task, problem.fold, is_logged)
             notes.append(f"{name}: {rule if isinstance(rule, str) else rule.note}")
             if isinstance(rule, str):
                 contenders += [] if is_default else [Contender(name, why_unknown=rule)]
@@ -343,5 +345,5 @@ def judging(
     with workers.ready_if_worth() as pool:
         problem = problem._replace(pool=pool)
         own = logging_contribution(problem, LOGGING)
-        theirs, notes = _contenders(baselines, own, problem, logs, is_logged, is_default)
+        theirs, notes = _contenders(baselines, own, problem, logs, known, is_logged, is_default)
         yield Judge(problem, logs, own, theirs, (*taken_for, *notes), level, doubt)

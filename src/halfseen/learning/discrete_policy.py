@@ -236,7 +236,7 @@ class DiscretePolicy:
         if self.margin is None:
             return np.zeros((len(features), len(self.actions)))
         root = self.margin[stage - 1]
-        return np.linalg.norm(root[:, :1] + features @ root[:, 1:], axis=-1).T
+        return np.stack([np.linalg.norm(each[0] + features @ each[1:], axis=1) for each in root], axis=1)
 
     def _check_stage(self, stage: int) -> None:
         if not (is_count(stage) and stage <= self.horizon):
