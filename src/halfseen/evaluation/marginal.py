@@ -137,7 +137,7 @@ def linear(
     """Predict weights by a linear function of covariates, with a ridge penalty on all but the constant."""
     design = np.column_stack([np.ones(len(scaled)), scaled])
     penalty = np.diag([1e-9, *[RIDGE] * scaled.shape[1]])
-    gram = np.einsum("bm,mp,mq->bpq", is_fitted, design, design, optimize=True) + penalty
+    gram = np.stack([design[fits].T @ design[fits] for fits in is_fitted]) + penalty
     cross = np.where(is_fitted, weight, 0.0) @ design
     return np.linalg.solve(gram, cross[..., None])[..., 0] @ design.T
 
