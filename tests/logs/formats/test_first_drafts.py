@@ -193,11 +193,16 @@ def test_ends_of_stages_are_empty_where_they_were_cut_and_empty_columns_are_no_c
 
 
 def test_times_beside_a_count_of_stages_are_no_covariates(draft):
-    heading = "Part No,Gap 1,Tool 1,Time 1 [s],Gap 2,Tool 2,Time 2 [s],Result"
+    heading = "Part No,Gap 1,Tool 1,Time A [s],Gap 2,Tool 2,Time B [s],Result"
     made = draft(f"{heading}\nA,0.1,x,2.5,0.2,y,4.5,ok\nB,0.3,y,3.5,,,,ok\n")
     assert "[clock]\nfield = \"stage\"  # guess: such as '1' and '2'\nunit = \"s\"" in made
-    assert '\n# [covariates."Time 1 [s]"]' in made
+    assert '\n# [covariates."Time A [s]"]' in made
     assert "\n[covariates.Gap]" in made
+
+
+def test_times_by_stage_with_a_unit_are_the_clock(draft):
+    made = draft("Part No,Tool 1,Time 1 [s],Tool 2,Time 2 [s],Result\nA,x,2.5,y,4.5,ok\nB,y,3.5,,,ok\n")
+    assert "[clock]\nfield = \"Time [s]\"  # guess: such as '2.5' and '4.5'\nunit = \"s\"" in made
 
 
 def test_the_name_of_the_trajectory_in_each_row_is_what_no_event_carries(draft):
