@@ -153,7 +153,8 @@ def test_cells_far_apart_and_entities_without_end_are_refused(tmp_path, monkeypa
     bomb = f'<!DOCTYPE b [<!ENTITY e0 "boom">{nested}]><sst><si><t>&e5;</t></si></sst>'.encode()
     with zipfile.ZipFile(BOOK) as book:
         texts = book.read("xl/sharedStrings.xml")
-    with refused(r"it is not a complete table \(.*amplification"):
+    # expat's words, or those of lxml where it is installed.
+    with refused(r"it is not a complete table \(.*(amplification|could not read strings)"):
         read(tmp_path, OF_TRIAL + 'table.sheet = "Runs"', changed(tmp_path, "xl/sharedStrings.xml", texts, bomb))
 
 
