@@ -155,7 +155,9 @@ def standing(
     # After the verdict, trajectories are no longer dealt.
     is_dealt = (courses.chance > 0.0) & (courses.chance < 1.0)
     dealt = int(is_dealt.sum()), int(courses.is_policy[is_dealt].sum())
-    hidden = float(max(of.too_high[-1], of.too_low[-1])) if len(of.excess) else 0.0
+    # The bounds rest on trajectories that were randomised; the first after the verdict is not.
+    is_bet = of.bet_on != 0.0
+    hidden = float(max(of.too_high[is_bet][-1], of.too_low[is_bet][-1])) if is_bet.any() else 0.0
     return Standing(*dealt, known[0], known[1], known[2], known[3], share, verdict, more, _finite(hidden) or 0.0)
 
 
