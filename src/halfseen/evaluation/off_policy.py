@@ -201,7 +201,7 @@ def _contenders(
             continue
         is_taken, unseen = None, None
         if isinstance(policy, str) and policy == LOGGING_RULE:
-            # Of the covariates as they are: the problem's log holds their products, too.
+            # The problem's log also has the second-order terms of Q.
             rule = logging_rule(known, problem.trajectories, task, problem.fold, is_logged)
             notes.append(f"{name}: {rule if isinstance(rule, str) else rule.note}")
             if isinstance(rule, str):

@@ -141,7 +141,7 @@ def asked(decide: Callable[[], Decision], stage: int, horizon: int) -> Decision 
     return decision
 
 
-Worker: TypeAlias = "SimpleQueue[Callable[[], None]]"
+Worker: TypeAlias = SimpleQueue[Callable[[], None]]
 """The calls that a thread makes, one after the other."""
 _IDLE: list[Worker] = []
 
@@ -180,7 +180,6 @@ async def asked_in_time(
         return SteppedBack("late", f"the policy has not yet answered {MOST_UNANSWERED} earlier questions")
     loop = asyncio.get_running_loop()
     answer: asyncio.Future[Decision | SteppedBack] = loop.create_future()
-
     worker = _idle_worker()
 
     def run() -> None:

@@ -231,7 +231,7 @@ class Health(Struct, frozen=True):
 
     status: Annotated[
         Literal["ok", "not deciding", "not recording"],
-        _is("Whether nothing is decided over the wire, or the disk could not store the last event."),
+        _is("Not deciding: over the wire. Not recording: the disk could not store the last event."),
     ]
     policy: Digest
     kind: Annotated[str, _is("Of the policy.")]

@@ -80,7 +80,7 @@ def _operation(summary: str, answer: type[Struct], takes: dict[str, type[Struct]
         **({"requestBody": body} if takes else {}),
         "responses": {
             "200": {"description": "The answer.", "content": {JSON: _referred(answer)}},
-            "4XX": {"description": "Refused, in one line.", "content": {JSON: _referred(models.Refused)}},
+            "default": {"description": "Refused, in one line.", "content": {JSON: _referred(models.Refused)}},
         },
     }
 

@@ -250,17 +250,14 @@ class Served:
             if not is_table:
                 seen = look(service)
                 decided = await self._decided(service, seen)
-                given = self.answering.answer(service, seen, decided)
-                with self._storing():
-                    reply = self.answering.recorded(seen, given)
+                reply = self._recorded(seen, self.answering.answer(service, seen, decided))
             else:
                 await check()
                 seen = await to_thread.run_sync(look, service)
                 decided = await self._decided(service, seen)
                 given = self.answering.answer(service, seen, decided)
                 await check()
-                with self._storing():
-                    reply = await to_thread.run_sync(self.answering.recorded, seen, given)
+                reply = await to_thread.run_sync(self._recorded, seen, given)
             self.answering.tally.decisions += 1
             # In a comparison the rule's own trajectories do not step back.
             if isinstance(decided, SteppedBack) and reply.stepped_back is not UNSET:
@@ -295,6 +292,10 @@ class Served:
             self._replace()
             self.answering.recent.ended(recording.events)
             return ended
+
+    def _recorded(self, seen: AskedState, given: DecisionAnswer) -> DecisionAnswer:
+        with self._storing():
+            return self.answering.recorded(seen, given)
 
     @contextmanager
     def _storing(self) -> Iterator[None]:

@@ -192,6 +192,22 @@ def test_files_may_have_their_columns_in_another_order(read_files):
         read_files({"one.csv": WIDE, "two.csv": turned.replace("seconds left", "left")}, STAGES)
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "differs"),
+    [
+        ("b.csv", "run;tool;seconds left;ms;worth;stop\nc;soft;9;1500;1;\n", "another separator"),
+        (
+            "b.jsonl",
+            '{"run":"c","tool":"soft","seconds left":9,"ms":1500,"worth":1,"stop":""}\n',
+            "another kind of file",
+        ),
+    ],
+)
+def test_files_that_are_written_otherwise_are_named_as_such(read_files, name, text, differs):
+    with refused(rf"{name}: its columns differ from those of .*a\.csv \({differs}\); convert each separately"):
+        read_files({"a.csv": WIDE, name: text}, STAGES)
+
+
 def test_an_ending_in_every_row_is_told_as_such(read_table):
     told = r"after its ending at 2 s; .*; fix the times, leave column 'stop' empty in all rows but the last, or have"
     with refused(told):

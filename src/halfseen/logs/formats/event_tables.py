@@ -111,7 +111,8 @@ def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> C
     for each in others:
         differing = sorted(each.columns.keys() ^ first.columns.keys())
         if differing or each.layout.separator != first.layout.separator:
-            written = "another kind of file" if each.layout.separator is None else "another separator"
+            is_other_kind = None in (each.layout.separator, first.layout.separator)
+            written = "another kind of file" if is_other_kind else "another separator"
             names = ", ".join(map(shown, differing)) or written
             raise LogError(
                 f"{each.file}: its columns differ from those of {first.file} ({names}); convert each separately"

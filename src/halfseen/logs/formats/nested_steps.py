@@ -24,10 +24,11 @@ def unnested(file: Path, table: pa.Table) -> pa.Table:
     if name is None:
         return table
     lists = table[name].combine_chunks()
-    num_empty = len(lists) - len(compute.unique(compute.list_parent_indices(lists)))
+    episodes = compute.list_parent_indices(lists)
+    num_empty = len(lists) - len(compute.unique(episodes))
     if num_empty:
         warn(file, f"left out: {num_empty:,} of {len(lists):,} episodes, without steps in {name!r}")
-    rows = table.drop_columns([name]).take(compute.list_parent_indices(lists))
+    rows = table.drop_columns([name]).take(episodes)
     steps = pa.Table.from_struct_array(compute.list_flatten(lists))
     return pa.Table.from_arrays([*rows.columns, *steps.columns], names=[*rows.column_names, *steps.column_names])
 

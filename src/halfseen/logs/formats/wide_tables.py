@@ -37,8 +37,8 @@ def stages_of(names: Collection[str], pattern: str) -> dict[str, dict[int, str]]
     found: dict[str, dict[int, str]] = {}
     for column in names:
         if match := re.fullmatch(whole + unit, column):
-            name = match["name"] + (match["unit"] or "")
-            other = found.setdefault(name, {}).setdefault(int(match["stage"]), column)
+            named = match["name"] + (match["unit"] or "")
+            other = found.setdefault(named, {}).setdefault(int(match["stage"]), column)
             if other != column:
                 raise LogError(f"columns {other!r} and {column!r} are of one stage; rename one of them")
     return found
