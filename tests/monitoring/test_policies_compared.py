@@ -249,6 +249,15 @@ def test_how_many_more_is_unknown_where_cuts_may_hide_the_gain():
     assert standing(courses, Terms(0.5), of._replace(too_high=of.too_high + 3.0)).more is None
 
 
+def test_the_first_trajectory_after_a_verdict_changes_nothing_that_is_said():
+    courses = drawn(90, np.random.default_rng(0), cut=0.3)
+    for num in range(60, 90):
+        at, after = courses.part(0, num), courses.part(0, num + 1)
+        promoted = after._replace(chance=np.append(at.chance, 1.0), is_policy=np.append(at.is_policy, True))
+        before, found = standing(at, Terms(0.5)), standing(promoted, Terms(0.5))
+        assert (found.num, found.low, found.high, found.hidden) == (num, before.low, before.high, before.hidden)
+
+
 def test_a_loss_that_is_allowed_is_not_passed():
     stopped = []
     for seed in range(8):

@@ -103,7 +103,6 @@ def test_a_better_policy_is_promoted_and_a_sentence_says_so_once(cell, tmp_path)
         assert 0.0 < told["low"] < told["gain"] < told["high"]
     assert len(said) == 1
     assert said[0].startswith("the policy is promoted after ")
-    assert said[0] == f"{told['sentence']}."
     chances = read_logs(tmp_path / "logs").trajectories["policy_chance"]
     assert set(chances) == {0.5, 1.0}
     assert (np.diff(chances) >= 0).all()
