@@ -177,8 +177,8 @@ def test_what_is_too_large_is_refused_unread(place, name):
 
 NO_BAG, MINARI = "it is not a complete bag .*ros2 bag reindex", "flat-v0/data/main_data.hdf5"
 NO_DATABASE = (
-    r"cell\.db: trajectories(, row 0: trajectory is null|: column 'ending' holds .* the character NUL)"
-    r"|cell\.db, stages: the database refuses .*(malformed|disk image|no such)"
+    r"cell\.db: it is cut off: of [\d,]+ bytes [\d,]+ are there; copy it again"
+    r"|cell\.db, stages: the database refuses .*no such"  # an empty file is an empty database
 )
 TORN = [
     *((f"steps.{kind}", steps, "steps") for kind in ("parquet", "csv", "feather", "arrow")),

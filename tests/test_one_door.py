@@ -2,14 +2,25 @@ import io
 import json
 import os
 import socket
+import sqlite3
 import tracemalloc
 import zipfile
+from contextlib import closing
 
 import numpy as np
 import pytest
 
 from halfseen import reading
-from halfseen.reading import check_unpacked, json_of, opened_text, read_arrays, read_bytes, read_text, toml_of
+from halfseen.reading import (
+    check_sqlite,
+    check_unpacked,
+    json_of,
+    opened_text,
+    read_arrays,
+    read_bytes,
+    read_text,
+    toml_of,
+)
 
 
 def test_a_file_and_what_a_link_leads_to_are_read(tmp_path):
@@ -74,6 +85,25 @@ def test_a_file_that_is_too_large_is_refused_unless_that_is_meant(tmp_path, monk
         read_bytes(tmp_path / "a")
     monkeypatch.setenv(reading.LARGEST_MB, "71")
     assert len(read_bytes(tmp_path / "a")) == 70 * 10**6
+
+
+@pytest.mark.parametrize("page_bytes", [512, 65536])
+def test_a_database_that_lacks_a_byte_is_refused_unless_its_log_may_hold_it(tmp_path, page_bytes):
+    file = tmp_path / "a.db"
+    with closing(sqlite3.connect(file)) as connection:
+        connection.execute(f"PRAGMA page_size = {page_bytes}")
+        connection.execute("CREATE TABLE a (b)")
+        connection.execute("INSERT INTO a VALUES (zeroblob(200000))")
+        connection.commit()
+    check_sqlite(file)
+    size = file.stat().st_size
+    os.truncate(file, size - 1)
+    with pytest.raises(ValueError, match=f"it is cut off: of {size:,} bytes {size - 1:,} are there"):
+        check_sqlite(file)
+    (tmp_path / "a.db-wal").touch()
+    check_sqlite(file)
+    (tmp_path / "other").write_bytes(b"DUCK" * 100)
+    check_sqlite(tmp_path / "other")
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """What stands for missing covariates: medians by hand, values carried forward by a loop, streams, states and forms."""
 
+from contextlib import closing
 from functools import partial
 
 import numpy as np
@@ -325,7 +326,7 @@ def test_a_database_may_hold_null(tmp_path):
     import sqlite3
 
     logs = holed_log(0.2)
-    with sqlite3.connect(tmp_path / "cell.db") as database:
+    with closing(sqlite3.connect(tmp_path / "cell.db")) as database:
         for name, table in logs.tables.items():
             table.to_sql(name, database, index=False)
     queries = Queries("SELECT * FROM stages", "SELECT * FROM trajectories")

@@ -106,7 +106,7 @@ def test_what_is_not_set_in_protobuf_is_told(read_mcap):
     ("encoding", "schema", "content", "told"),
     [
         ("json", SCHEMAS["json"], b"{", "not a complete bag"),
-        ("json", SCHEMAS["json"], b"[" * 1000, "nested more than 64 levels"),
+        ("json", SCHEMAS["json"], b"[" * 1000 + b"]" * 1000, "nested more than 64 levels"),
         ("json", SCHEMAS["json"], b'{"data": NaN}', "NaN is not a JSON number"),
         ("json", SCHEMAS["json"], b"\xff\xfe", "decode"),
         ("protobuf", SCHEMAS["protobuf"], b"\xff\xff", "not a complete bag"),

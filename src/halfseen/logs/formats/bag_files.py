@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from halfseen.errors import HalfseenError, LogError
 from halfseen.installation import extra
-from halfseen.reading import TABLE, check_file, check_unpacked, json_of, opened, refused
+from halfseen.reading import TABLE, check_file, check_sqlite, check_unpacked, json_of, opened, refused
 
 STORAGES = (".mcap", ".db3", ".bag")
 ENCODINGS = ("cdr", "json", "protobuf")
@@ -58,6 +58,8 @@ def opened_bag(bag: Path) -> Iterator[Any]:
             inside = [each for each in inside if each in files or not each.is_dir()]
             for file in inside:
                 check_file(file, TABLE)
+                if file.suffix == ".db3":
+                    check_sqlite(file)
             stored = sorted(file for file in inside if file.suffix != ".yaml")
             if stored and all(file.suffix == ".mcap" for file in stored):
                 reader = _McapFiles(stored)

@@ -22,7 +22,7 @@ from halfseen.logs.formats.as_text import from_list_texts
 from halfseen.logs.formats.mapping import Given, mapping_in
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
-from halfseen.reading import TABLE, UNPACKED, check_file, reason_of
+from halfseen.reading import TABLE, UNPACKED, check_file, check_sqlite, reason_of
 
 ROWS_AT_ONCE = 10_000
 BYTES_OF_VALUE = 8
@@ -178,6 +178,10 @@ def _check_file_of(url: Any) -> Path:
     if not url.database or str(file).startswith((":memory:", "file:")):
         raise ArgumentError(f"{shown_url(str(url))}: it names no file; give {url.get_backend_name()}:///FILE")
     check_file(file, TABLE)
+    try:
+        check_sqlite(file)
+    except ValueError as error:
+        raise LogError(f"{shown_url(str(url))}: {error}; copy it again, once nobody writes to it") from error
     return file
 
 

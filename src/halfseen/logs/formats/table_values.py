@@ -206,8 +206,9 @@ def stamps_ns(cells: Cells, columns: Sequence[str], clock: Clock, marks: Marks) 
     message = _doubt(cells, column, is_of_day) if is_of_day or not (is_zoned.any() or clock.zone) else ""
     if message:
         warn(f"{cells.file}, column {column!r}", message)
-    stamps = _dates(cells, column, written, clock, bool(is_zoned.all()))
-    if not is_of_day and clock.format is not None and not _HAS_YEAR.search(clock.format):
+    has_no_year = not is_of_day and clock.format is not None and not _HAS_YEAR.search(clock.format)
+    stamps = _dates(cells, column, written, clock, bool(is_zoned.all()), "1900 " if has_no_year else "")
+    if has_no_year:
         _refuse_new_year(cells, column, stamps)
     return _over_midnight(cells, column, stamps) if is_of_day else stamps
 
@@ -215,10 +216,8 @@ def stamps_ns(cells: Cells, columns: Sequence[str], clock: Clock, marks: Marks) 
 def _refuse_new_year(cells: Cells, column: str, stamps: Stamps) -> None:
     """Refuse dates without a year on both sides of a new year (`LogError`)."""
     if (row := first_true(np.abs(np.diff(stamps)) > _HALF_A_YEAR_NS)) is not None:
-        before = shown(cells.columns[column][row])
-        cells.refuse(
-            row + 1, column, f"comes after {before}, but clock.format has no year; export times with their year"
-        )
+        trouble = f"comes after {shown(cells.columns[column][row])}, but clock.format has no year"
+        cells.refuse(row + 1, column, f"{trouble}; export times with their year")
 
 
 def joined(cells: Cells, columns: Sequence[str]) -> tuple[Cells, str]:
@@ -307,10 +306,11 @@ def _refuse_not_iso(cells: Cells, column: str) -> None:
     cells.refuse(row, column, f"is not an ISO time, and day and month may be swapped; set clock.format, such as {way}")
 
 
-def _dates(cells: Cells, column: str, written: Any, clock: Clock, is_zoned: bool) -> Stamps:
+def _dates(cells: Cells, column: str, written: Any, clock: Clock, is_zoned: bool, year: str) -> Stamps:
     wanted = "ISO8601" if clock.format is None else clock.format
+    way = f"%Y {wanted}" if year else wanted  # Python 3.15 reads no day without a year
     try:
-        dates = pd.DatetimeIndex(pd.to_datetime(written, format=wanted, utc=is_zoned, errors="coerce"))
+        dates = pd.DatetimeIndex(pd.to_datetime(year + written, format=way, utc=is_zoned, errors="coerce"))
         known = dates.notna()
         if not is_zoned and clock.zone is not None:
             dates = dates.tz_localize(ZoneInfo(clock.zone), ambiguous="NaT", nonexistent="NaT")
