@@ -179,7 +179,7 @@ def test_a_lift_shows_what_stands_behind_and_the_cup_stands_where_it_was_then_go
 @pytest.mark.parametrize("grasping", ["completed", "visible-only"])
 def test_most_attempts_on_random_tables_hold_and_completed_shapes_no_less(grasping):
     held = []
-    for seed in range(60, 62):
+    for seed in range(60, 61):
         cell = Workcell(random_table(seed), np.random.default_rng(seed), grasping=grasping)
         cell.look()
         for number in range(len(cell.memory.objects)):
@@ -293,15 +293,13 @@ def test_any_number_of_processes_gives_the_same_bytes(tmp_path):
     config = WorldConfig(horizon=2)
     campaign = Campaign(LiftAtRandom(), Belief(config, no_grip), Conditions(), 5, tells_truth=True)
     made = []
-    for workers in (Workers(1), Workers(2), Workers(2, "dask")):
-        folder = tmp_path / f"{workers.num}-{workers.engine}"
+    for workers in (Workers(1), Workers(2)):
         with workers.ready() as pool:
-            runs = [run for _, run in campaign.runs(range(2), folder, pool)]
-        made.append((runs, logs_of(folder, range(2))))
-    (first, logs), *others = made
-    for runs, of_them in others:
-        assert runs == first
-        assert all(table.equals(of_them.tables[name]) for name, table in logs.tables.items())
+            runs = [run for _, run in campaign.runs(range(2), tmp_path / str(workers.num), pool)]
+        made.append((runs, logs_of(tmp_path / str(workers.num), range(2))))
+    (first, logs), (again, logs_again) = made
+    assert again == first
+    assert all(table.equals(logs_again.tables[name]) for name, table in logs.tables.items())
     found = summarised(first, logs, LiftAtRandom(), config, 0)
     assert found.counts["num_cups"] == sum(run.num_cups for run in first)
     assert found.verbs["LIFT"] <= 4

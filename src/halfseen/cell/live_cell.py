@@ -10,6 +10,7 @@ was executed. Every command but `Reserve` always is.
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from math import hypot
 from typing import TypeAlias, TypeVar
 
 import mujoco
@@ -239,9 +240,9 @@ def largest_force_n(cell: LiveCell) -> float:
     model, data = cell.model, cell.data
     if not data.ncon:
         return 0.0
-    is_robot = model.geom_bodyid[data.contact.geom] > cell.num_cups
+    first, second = (model.geom_bodyid[data.contact.geom] > cell.num_cups).T
     force, largest = np.zeros(6), 0.0
-    for contact in np.flatnonzero(is_robot.any(axis=1)).tolist():
+    for contact in np.flatnonzero(first | second).tolist():
         mujoco.mj_contactForce(model, data, contact, force)
-        largest = max(largest, float(np.linalg.norm(force[:3])))
+        largest = max(largest, hypot(*force[:3].tolist()))
     return largest
