@@ -220,10 +220,10 @@ def test_no_interval_reaches_beyond_the_possible(seed):
 def test_intervals_of_few_effective_trajectories_hold_the_truth(policy):
     chance_b = (1.0, 1.0) if isinstance(policy, FixedSequence) else policy.chance_b
     gain = truth(chance_b) - truth(tuple(CHANCE_B))
-    found = [evaluate(policy, trial(seed, num_trajectories=60, cut_rate=0.1), against="logging") for seed in range(60)]
+    found = [evaluate(policy, trial(seed, num_trajectories=60, cut_rate=0.1), against="logging") for seed in range(40)]
     held = sum(each.difference.low <= gain <= each.difference.high for each in found)
-    # Of 60 intervals at 95 %, fewer than 53 hold with a chance of 2 %.
-    assert held >= 53
+    # Of 40 intervals at 95 %, fewer than 35 hold with a chance of 2 %.
+    assert held >= 35
 
 
 # What went before a stage

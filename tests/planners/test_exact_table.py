@@ -315,8 +315,8 @@ def test_the_more_grip_offsets_the_nearer_is_the_world_whose_offsets_are_normal(
 @pytest.mark.parametrize(
     ("config", "scene", "num", "most", "who"),
     [
-        *((CONFIG, Scene(THREE), 400_000, 0.03, who) for who in ("greedy", "history", "pomdp", "lot")),
-        *((FITTED, GRIPPED3, 200_000, 0.04, who) for who in ("greedy", "history", "pomdp")),
+        *((CONFIG, Scene(THREE), 150_000, 0.05, who) for who in ("greedy", "history", "pomdp", "lot")),
+        *((FITTED, GRIPPED3, 100_000, 0.06, who) for who in ("greedy", "history", "pomdp")),
     ],
 )
 def test_a_policy_earns_in_the_world_what_it_is_worth(config, scene, num, most, who):

@@ -100,11 +100,11 @@ def test_a_log_tells_what_another_rule_of_the_team_would_earn(truth):
 
 @pytest.mark.slow
 def test_intervals_of_a_teams_rule_cover(truth):
-    """Of 15 logs, 95 % intervals miss the truth in more than 3 with probability .005."""
+    """Of 10 logs, 95 % intervals miss the truth in more than 2 with probability .012."""
     found = [
-        evaluate(RULE, log_of(ExploringPolicy(RULE, 0.4), 300, 0.2, seed), against="logging") for seed in range(15)
+        evaluate(RULE, log_of(ExploringPolicy(RULE, 0.4), 300, 0.2, seed), against="logging") for seed in range(10)
     ]
-    assert sum(not one.doubly_robust.low <= truth <= one.doubly_robust.high for one in found) <= 3
+    assert sum(not one.doubly_robust.low <= truth <= one.doubly_robust.high for one in found) <= 2
 
 
 @pytest.mark.slow

@@ -161,16 +161,12 @@ class LiveCell:
 
     def moved(self, robot: MountedArm, move: Move) -> Iterator[Angles]:
         """Steer a robot along a path from its current set points, and yield its servos' angles at each tick [rad]."""
-        begin = np.array([self.data.actuator(name).ctrl[0] for name in robot.joint_names])
-        plan = schedule(begin, move.way, move.speed * robot.arm.speeds_rad_s)
+        servos = [self.model.actuator(name).id for name in robot.joint_names]
+        plan = schedule(self.data.ctrl[servos], move.way, move.speed * robot.arm.speeds_rad_s)
         for angles in plan.at(self.tick_s * np.arange(1, np.ceil(plan.duration_s / self.tick_s) + 1)):
-            self.steer(robot, angles)
+            self.data.ctrl[servos] = angles
             yield angles
-        self.steer(robot, move.way[-1])
-
-    def steer(self, robot: MountedArm, angles_rad: Angles) -> None:
-        """Set the target angles of a robot's servos [rad]."""
-        self.data.ctrl[[self.model.actuator(name).id for name in robot.joint_names]] = angles_rad
+        self.data.ctrl[servos] = move.way[-1]
 
     def close(self, robot: MountedArm, opening_m: float) -> None:
         """Set the target opening of the fingers [m], within their force limit; negative values press."""
