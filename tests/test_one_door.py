@@ -2,25 +2,14 @@ import io
 import json
 import os
 import socket
-import sqlite3
 import tracemalloc
 import zipfile
-from contextlib import closing
 
 import numpy as np
 import pytest
 
 from halfseen import reading
-from halfseen.reading import (
-    check_sqlite,
-    check_unpacked,
-    json_of,
-    opened_text,
-    read_arrays,
-    read_bytes,
-    read_text,
-    toml_of,
-)
+from halfseen.reading import check_unpacked, json_of, opened_text, read_arrays, read_bytes, read_text, toml_of
 
 
 def test_a_file_and_what_a_link_leads_to_are_read(tmp_path):
@@ -87,25 +76,6 @@ def test_a_file_that_is_too_large_is_refused_unless_that_is_meant(tmp_path, monk
     assert len(read_bytes(tmp_path / "a")) == 70 * 10**6
 
 
-@pytest.mark.parametrize("page_bytes", [512, 65536])
-def test_a_database_that_lacks_a_byte_is_refused_unless_its_log_may_hold_it(tmp_path, page_bytes):
-    file = tmp_path / "a.db"
-    with closing(sqlite3.connect(file)) as connection:
-        connection.execute(f"PRAGMA page_size = {page_bytes}")
-        connection.execute("CREATE TABLE a (b)")
-        connection.execute("INSERT INTO a VALUES (zeroblob(200000))")
-        connection.commit()
-    check_sqlite(file)
-    size = file.stat().st_size
-    os.truncate(file, size - 1)
-    with pytest.raises(ValueError, match=f"it is cut off: of {size:,} bytes {size - 1:,} are there"):
-        check_sqlite(file)
-    (tmp_path / "a.db-wal").touch()
-    check_sqlite(file)
-    (tmp_path / "other").write_bytes(b"DUCK" * 100)
-    check_sqlite(tmp_path / "other")
-
-
 @pytest.mark.parametrize(
     ("text", "told"),
     [
@@ -130,6 +100,13 @@ def test_other_json_is_read_as_ever():
     value = {"a": [1, -(2**63), 2**64 - 1, 0.1, 1e-320, None, True, "]" * 100], "b": {"ö": []}}
     assert json_of(json.dumps(value)) == value
     assert json_of("[" * 64 + "]" * 64)
+
+
+def test_numbers_that_json_does_not_have_are_read_where_that_is_meant():
+    read = json_of(f'{{"a": [NaN, -Infinity, 1e999, {2**70}, {2**63}, 1700000000000000001]}}', any_number=True)["a"]
+    assert np.isnan(read[0])
+    assert read[1:] == [-np.inf, np.inf, 2.0**70, 2**63, 1700000000000000001]
+    assert [type(each) for each in read[4:]] == [int, int]
 
 
 def test_toml_is_read_and_one_too_deep_is_refused():

@@ -88,27 +88,6 @@ def opened(path: Path, most_bytes: int = WORDS) -> BufferedReader:
     return file
 
 
-def check_sqlite(path: Path) -> None:
-    """Refuse an SQLite file that is shorter than its header says, of which SQLite may read the rest without a word.
-
-    Raises
-    ------
-    OSError
-        The file cannot be read.
-    ValueError
-        It was cut off. One that is not of SQLite, or beside which a write-ahead log lies, is not judged.
-    """
-    with opened(path, TABLE) as file:
-        header, num_bytes = file.read(100), os.fstat(file.fileno()).st_size
-    is_counted = header[24:28] == header[92:96]  # the number of pages belongs to the last change
-    if not header.startswith(b"SQLite format 3\0") or not is_counted or path.with_name(f"{path.name}-wal").exists():
-        return
-    page_bytes = int.from_bytes(header[16:18]) if header[16:18] != b"\0\1" else 65536
-    whole_bytes = page_bytes * int.from_bytes(header[28:32])
-    if num_bytes < whole_bytes:
-        raise ValueError(f"it is cut off: of {whole_bytes:,} bytes {num_bytes:,} are there")
-
-
 def opened_text(path: Path, most_bytes: int = WORDS) -> TextIOWrapper:
     """Open a regular UTF-8 file for `csv`, with its line ends unchanged; errors as in `check_file`."""
     return TextIOWrapper(opened(path, most_bytes), encoding="utf-8-sig", newline="")
@@ -133,15 +112,18 @@ def read_text(path: Path, most_bytes: int = WORDS) -> str:
     return read_bytes(path, most_bytes).decode("utf-8-sig")
 
 
-def json_of(text: str | bytes) -> Any:
+def json_of(text: str | bytes, *, any_number: bool = False) -> Any:
     """Read JSON with finite numbers of at most 64 bits and each name once, nested no deeper than `MOST_LEVELS`.
+
+    With `any_number`, NaN and larger numbers are read, too, as floats.
 
     Raises
     ------
     ValueError
         The text is not such JSON.
     """
-    numbers: Any = {"parse_constant": _refuse_constant, "parse_int": _whole, "parse_float": _number}
+    strict = {"parse_constant": _refuse_constant, "parse_int": _whole, "parse_float": _number}
+    numbers: Any = {"parse_int": _of_digits} if any_number else strict
     read = _parsed(lambda: json.loads(text, object_pairs_hook=named_once, **numbers))
     check_levels(read)
     return read
@@ -320,9 +302,12 @@ def _parsed(parse: Callable[[], Any]) -> Any:
         raise ValueError(f"it is nested more than {MOST_LEVELS} levels deep") from None
 
 
-def _whole(digits: str) -> int:
-    number = int(digits) if len(digits) <= 20 else 2**64
-    if not -(2**63) <= number < 2**64:
+def _of_digits(digits: str) -> float:
+    return int(digits) if len(digits) <= 20 and -(2**63) <= int(digits) < 2**64 else float(digits)
+
+
+def _whole(digits: str) -> float:
+    if isinstance(number := _of_digits(digits), float):
         raise ValueError(f"{digits[:24]}… is not a 64-bit whole number")
     return number
 

@@ -8,12 +8,13 @@ import pytest
 from enumerated_trial import CHANCE_B, StatePolicy, specified, trial, truth
 from scipy import stats
 
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, HalfseenWarning
 from halfseen.evaluation import Baseline, FixedSequence, evaluate
 from halfseen.evaluation.comparison import Contender, compared, deciding, hochberg, joint_reason
 from halfseen.evaluation.simulation import compare_in_world, evaluate_in_world
-from halfseen.evaluation.targets import target_probabilities
+from halfseen.evaluation.targets import baselines_of, target_probabilities
 from halfseen.learning.rows import trajectory_arrays
+from halfseen.logs import Logs
 from halfseen.planners import GreedyPolicy
 from halfseen.tables import TableTask
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig
@@ -170,6 +171,23 @@ def test_what_is_no_baseline_is_told_in_one_line(against, message):
     with pytest.raises(ArgumentError, match=message) as refusal:
         evaluated(trial(6, num_trajectories=40), against)
     assert "\n" not in str(refusal.value)
+
+
+def test_a_rule_of_other_spelling_than_the_log_is_warned_of(tmp_path):
+    """A row that never matches would make of a rule another one, and of the policy a better one."""
+    logs = trial(6, num_trajectories=40)
+    stages = logs.stages.assign(colour=np.where(np.arange(len(logs.stages)) % 2, "red", "blue"))
+    logs, file = Logs(stages, logs.trajectories), tmp_path / "rule.csv"
+    for rule, told in (
+        ("colour,action\nRed,A\n,B\n", "a row asks for colour = Red, which no log showed; did you mean 'red'?"),
+        ("colour,action\nred,A\n,b\n", "it takes 'b', which no log showed; did you mean 'B'?"),
+    ):
+        file.write_text(rule)
+        with pytest.warns(HalfseenWarning) as warned:
+            baselines_of(str(file), logs)
+        assert [str(each.message) for each in warned] == [f"{file}: {told}"]
+    file.write_text("colour,action\nred,A\n,B\n")
+    assert baselines_of(str(file), logs)[0].name == "the rule rule.csv"
 
 
 def test_a_verdict_says_what_would_undo_it_and_an_open_one_or_one_without_cuts_nothing():

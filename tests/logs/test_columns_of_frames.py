@@ -10,6 +10,7 @@ import pytest
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs, read_logs
+from halfseen.logs.frames import frame_of
 from refusals import refused
 from small_logs import log_of
 
@@ -43,6 +44,11 @@ def test_decimals_of_databases_are_numbers(kind):
     stages = stages if kind is pa.array else stages.to_pandas().assign(x=kind([Decimal("0.5"), None, Decimal("-2")]))
     found = Logs(stages, tables["trajectories"], missing="median+flag").stages
     assert found[["x", "x_missing"]].to_numpy().tolist() == [[0.5, 0.0], [-0.75, 1.0], [-2.0, 0.0]]
+
+
+def test_a_decimal_is_the_nearest_float():
+    tenths = [Decimal(k) / 10 for k in range(1000)]
+    assert frame_of(pa.table({"x": tenths}))["x"].tolist() == [k / 10 for k in range(1000)]
 
 
 def test_nan_in_arrow_is_missing():

@@ -309,6 +309,21 @@ def test_texts_of_measured_values(tables, form):
         assert "number-as-text" not in found(tables)
 
 
+def test_many_whole_numbers_as_text_may_be_sizes(tables):
+    for num, is_doubted in ((20, False), (21, True)):
+        tables["stages"]["c"] = [str(k % num) for k in range(len(tables["stages"]))]
+        told = found(tables)
+        assert ("if they are sizes, and no names, write them" in told.get("number-as-text", "")) == is_doubted
+
+
+def test_numbers_of_one_value_are_one_name(tables):
+    rows = len(tables["stages"])
+    tables["stages"]["action"] = [("1", "1.5", "0.50", "0.5", "-2")[k % 5] for k in range(rows)]
+    assert "actions '0.5', '0.50' differ only in their spelling" in found(tables)["spelling"]
+    tables["stages"]["action"] = [("1", "1.5", "2.10", "-1")[k % 4] for k in range(rows)]
+    assert "spelling" not in found(tables)
+
+
 @pytest.mark.parametrize("date", ["2025-03-01", "1-Mar", "Mar-01", "01. Mrz"])
 def test_dates_among_names(tables, date):
     tables["stages"].loc[::3, "action"] = date

@@ -33,6 +33,15 @@ def test_dates_may_be_text(zone):
     assert since(logs, datetime(2026, 3, 2, 12)).trajectory_ids.tolist() == [9]
 
 
+def test_a_day_without_a_zone_begins_by_the_columns_own_clock():
+    """The second began on the 2nd in Berlin, and on the 1st in UTC."""
+    began = pd.to_datetime(["2026-03-01 12:00", "2026-03-02 00:30", "2026-03-02 18:00"]).tz_localize("Europe/Berlin")
+    for column in (began, [each.isoformat() for each in began]):
+        logs = log_of({"began": column}, trajectory=[5, 7, 9])
+        assert since(logs, "2026-03-02").trajectory_ids.tolist() == [7, 9]
+        assert since(logs, "2026-03-02T00:00Z").trajectory_ids.tolist() == [9]
+
+
 def test_a_trajectory_without_a_date_is_not_left_out_and_columns_that_disagree_are_refused():
     began = ["2026-03-01", None, "2026-03-03"]
     with refused("since is 2026-03-02, but began of trajectory 7 is missing; name a trajectory"):

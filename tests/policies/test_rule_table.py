@@ -117,6 +117,11 @@ def test_text_may_hold_the_word_and_or_look_like_a_number(tmp_path):
         ("x,action\n>,A\n,B\n", "rule.csv", "row 1: x is '>', which is not a condition"),
         ("x,action\n< nan,A\n,B\n", "rule.csv", "row 1: x is '< nan', which is not a condition"),
         ("stage,action\nfirst,A\n,B\n", "rule.csv", "row 1: stage is 'first', which is not a condition"),
+        ("stage,action\n0,A\n,B\n", "rule.csv", "row 1: no stage is 0; stages are whole numbers from 1"),
+        ("stage,action\n< 1,A\n,B\n", "rule.csv", "row 1: no stage is < 1"),
+        ("stage,action\n1,A\n> 1 and < 2,A\n,B\n", "rule.csv", "row 2: no stage is > 1 and < 2"),
+        ("x,action\n> 3 and <= 1,A\n,B\n", "rule.csv", "row 1: no x is > 3 and <= 1; the row would never match"),
+        ("x,action\n> 3 and < 3,A\n,B\n", "rule.csv", "row 1: no x is > 3 and < 3"),
         ("x = ", "rule.toml", "cannot be read as a rule"),
         ("", "rule.toml", "it holds nothing; give"),
         ("rule = 1", "rule.toml", "it holds rule; give"),
@@ -134,6 +139,12 @@ def test_what_is_no_rule_is_told_in_one_line(tmp_path, text, name, message):
     assert message in told
     assert name in told
     assert "\n" not in told
+
+
+@pytest.mark.parametrize("asked", ["stage,0.5", "> 0", ">= 1 and < 2", "!= 1", "> 1 and <= 2", "9"])
+def test_conditions_that_some_stage_fulfils_are_a_rule(tmp_path, asked):
+    column, condition = ("x", "> 0.25 and < 0.5") if asked == "stage,0.5" else ("stage", asked)
+    assert len(read_rule_table(written(tmp_path, f"{column},action\n{condition},A\n,B\n"), horizon=2).rows) == 2
 
 
 @pytest.mark.parametrize(

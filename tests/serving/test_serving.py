@@ -83,6 +83,11 @@ def test_a_bad_request_gets_one_line_and_harms_no_other(asked, body, status, say
     assert asked.post("/decide", json=SEEN).json() == before
 
 
+def test_a_method_that_is_not_answered_is_told_with_those_that_are(asked):
+    assert asked.get("/decide").headers["allow"] == "POST"
+    assert "does not exist" in refused(asked.post("/decide/", json=SEEN, follow_redirects=False), 404)
+
+
 def test_other_addresses_and_forms_are_refused(asked):
     text = {"content": b"{}", "headers": {"content-type": "text/plain"}}
     packed = {"content": b"\x1f\x8b", "headers": {"content-type": "application/json", "content-encoding": "gzip"}}

@@ -116,9 +116,9 @@ def test_a_rule_that_asks_for_what_the_policy_does_not_is_told_of(flat, tmp_path
     policy = written(tmp_path / "policy", coloured(), ["x1", "colour"])
     (tmp_path / "rule.csv").write_text("colour,action\nred or blue,B\n!= Red,C\nblue,A\n,A\n")
     told = CliRunner().invoke(serve, [str(policy), *words[1:]]).output
-    assert "rule.csv: the rule asks for colour = red or blue, which no log showed" in told
-    assert "rule.csv: the rule asks for colour != Red, which no log showed; did you mean 'red'?" in told
-    assert told.count("the rule asks for") == 2
+    assert "rule.csv: a row asks for colour = red or blue, which no log showed" in told
+    assert "rule.csv: a row asks for colour != Red, which no log showed; did you mean 'red'?" in told
+    assert told.count("asks for") == 2
 
 
 @pytest.mark.parametrize("failing", ["raises", "is no number"])

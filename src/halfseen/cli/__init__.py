@@ -13,7 +13,7 @@ from click.shell_completion import CompletionItem
 
 from halfseen import __version__
 from halfseen.cli.messages import remedy, tell_error, tell_warning, unexpected
-from halfseen.errors import HalfseenError, HalfseenWarning, did_you_mean
+from halfseen.errors import HalfseenError, HalfseenWarning, closest, did_you_mean
 from halfseen.progress import Telling, telling
 
 VERBS = {
@@ -179,6 +179,7 @@ def _say_in_one_line() -> None:
 def _of_option(error: click.NoSuchOption) -> str:
     """Message for an unknown option, with a suggestion."""
     params = [] if error.ctx is None else error.ctx.command.get_params(error.ctx)
-    known = [name for param in params for name in (*param.opts, *param.secondary_opts) if name.startswith("--")]
-    ending = did_you_mean(error.option_name, known) or "; --help lists the options"
-    return f"unknown option {error.option_name}{ending}"
+    names = (name for param in params for name in (*param.opts, *param.secondary_opts))
+    name = closest(error.option_name.lstrip("-"), (name[2:] for name in names if name.startswith("--")))
+    ending = "--help lists the options" if name is None else f"did you mean '--{name}'?"
+    return f"unknown option {error.option_name}; {ending}"

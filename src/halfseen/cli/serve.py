@@ -181,7 +181,7 @@ def serve(
 
 def _warn_of_rule(stored: Any, file: Path) -> None:
     """Tell of columns and categories that the policy does not know; requests may still bring them."""
-    from halfseen.policies.rule_files import rule_of
+    from halfseen.policies.rule_files import rule_of, unseen
 
     rule, covariates, categories = rule_of(stored, file), stored.policy.covariates, stored.policy.categories
     for name in (name for name in rule.columns if name not in covariates):
@@ -189,10 +189,8 @@ def _warn_of_rule(stored: Any, file: Path) -> None:
             f"{file}: the rule asks for {name}, which the policy does not use; if a request lacks it, the usual "
             f"action of the log is taken instead of the rule's{did_you_mean(name, covariates)}"
         )
-    for one in (one for row in rule.rows for one in row.conditions):
-        if one.column in categories and one.text not in categories[one.column]:
-            meant = did_you_mean(str(one.text), categories[one.column])
-            tell_warning(f"{file}: the rule asks for {one.column} {one.sign} {one.text}, which no log showed{meant}")
+    for trouble in unseen(rule.rows, categories):
+        tell_warning(f"{file}: {trouble}")
 
 
 def _check_comparison(against: Path | None, record: Path | None, share: float | None, most_loss: float | None) -> None:
@@ -229,10 +227,15 @@ def _wire(served: "Served", controller: str, mapping: Path) -> "Wire":
 
 def _table(stored: Any, path: Path) -> "ExplorationTable":
     from halfseen.policies.exploration import read_exploration
+    from halfseen.policies.rule_files import unseen
 
     if stored.is_table:
         raise ArgumentError(f"--explore {path}: the policy is of tables of objects; give a share, such as 0.1")
-    return read_exploration(path, stored.policy.actions, stored.policy.covariates, stored.policy.categories)
+    policy = stored.policy
+    table = read_exploration(path, policy.actions, policy.covariates, policy.categories)
+    for trouble in unseen(table.rows, policy.categories):
+        tell_warning(f"{path}: {trouble}")
+    return table
 
 
 def _check_token(host: str, token: str | None) -> None:

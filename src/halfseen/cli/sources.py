@@ -1,5 +1,6 @@
 """Sources of ``halfseen convert``: their kinds, the options of each kind, and how they are read."""
 
+import re
 import shlex
 from collections.abc import Callable
 from functools import partial
@@ -90,6 +91,8 @@ def kind_of(source: str, is_mapped: bool = False) -> str:
         return "sql"
     if source.startswith(MINARI) or (path / "data" / "metadata.json").is_file():
         return "minari"
+    if re.match(r"(sqlite|duckdb|postgresql|mysql|mariadb)(\+\w+)?://", source):
+        raise ArgumentError(f"a database is given as {SQL}{source.partition(':')[0]}://…; put {SQL} before the address")
     if is_remote(source):
         return "older" if is_older(place_of(source)) else "parquet"
     if not path.exists():

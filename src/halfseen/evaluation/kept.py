@@ -173,14 +173,13 @@ def _unit_words(factor: float) -> str:
 
 
 def _apart(kept: Mapping[str, Any], values: Any) -> float:
-    """Largest difference of two distribution functions, or total variation of shares; 1 for another type."""
-    is_number = pd.api.types.is_numeric_dtype(values.dtype)
-    if is_number != ("values" in kept):
-        return 1.0
-    if not is_number:
+    """Largest difference of two distribution functions, or total variation of shares; 1 for text among numbers."""
+    if "values" not in kept:  # a policy reads numbers as the categories that are written so
         shares = values.astype(str).value_counts(normalize=True)
         was = pd.Series(kept["shares"], index=kept["names"])
         return float(shares.sub(was, fill_value=0.0).abs().sum() / 2.0)
+    if not pd.api.types.is_numeric_dtype(values.dtype):
+        return 1.0
     knots, numbers = map(np.sort, comparable(kept["values"], values))
     # A difference between two knots shows at the next one; below the lowest, the mass itself is the difference.
     under = float(np.searchsorted(numbers, knots[0], side="left") / len(numbers))

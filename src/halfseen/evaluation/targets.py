@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from pandas.api.types import is_numeric_dtype
 
-from halfseen.errors import ArgumentError, did_you_mean
+from halfseen.errors import ArgumentError, did_you_mean, warn
 from halfseen.estimator import is_count
 from halfseen.evaluation.logging_rule import NAME as LOGGING_RULE_NAME
 from halfseen.learning.discrete_policy import NamedActionPolicy, checked_probabilities, more_cautious
@@ -21,8 +22,8 @@ from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.logs.columns import shown
 from halfseen.policies.folder import read_policy
-from halfseen.policies.rule_files import read_rule_table
-from halfseen.policies.rule_table import Rule
+from halfseen.policies.rule_files import read_rule_table, unseen
+from halfseen.policies.rule_table import Rule, RuleTable
 from halfseen.shapes import Float, Int
 from halfseen.suggestions import composed
 
@@ -225,13 +226,25 @@ def _written_baseline(text: str, logs: Logs) -> Baseline:
         return _baseline(FixedSequence(tuple(known.get(name, name) for name in names)), logs)
     path = Path(text)
     if path.suffix.lower() in (".csv", ".toml"):
-        return Baseline(read_rule_table(path, logs.horizon, _logged_actions(logs)), f"the rule {path.name}")
+        return Baseline(_written_rule(path, logs), f"the rule {path.name}")
     if path.is_dir():
         return Baseline(read_policy(path).policy, f"the policy {path.name}")
     raise ArgumentError(
         f"against is {text!r}; give {LOGGING}, {LOGGING_RULE}, {SEQUENCE}A,B,A, a file with a rule (.csv or .toml), "
         f"or a policy folder{did_you_mean(text, (LOGGING, LOGGING_RULE))}"
     )
+
+
+def _written_rule(path: Path, logs: Logs) -> RuleTable:
+    """Read a rule, and warn of categories and actions that the log does not have: they may be misspelled."""
+    actions = _logged_actions(logs)
+    rule = read_rule_table(path, logs.horizon, actions)
+    texts = [name for name in rule.columns if name in logs.stages and not is_numeric_dtype(logs.stages[name].dtype)]
+    for trouble in unseen(rule.rows, {name: [*map(str, logs.stages[name].unique())] for name in texts}):
+        warn(path, trouble)
+    for action in (action for action in rule.actions if action not in actions):
+        warn(path, f"it takes {action!r}, which no log showed{did_you_mean(action, actions)}")
+    return rule
 
 
 def _logged_actions(logs: Logs) -> list[Hashable]:

@@ -147,8 +147,8 @@ def _from_other(data: object) -> pd.DataFrame:
 def frame_of(table: pa.Table) -> pd.DataFrame:
     """Make a frame; decimals become floats, and whole numbers with nulls, unless too large to be exact as floats."""
     for k, field in enumerate(table.schema):
-        if pa.types.is_decimal(field.type):
-            table = table.set_column(k, field.name, table[k].cast(pa.float64()))
+        if pa.types.is_decimal(field.type):  # by way of text: Arrow's own cast may err in the last digit
+            table = table.set_column(k, field.name, table[k].cast(pa.string()).cast(pa.float64()))
     frame = _with_plain_types(table).to_pandas()
     for name, column in zip(table.column_names, table.columns, strict=True):
         if column.null_count and pa.types.is_integer(column.type):

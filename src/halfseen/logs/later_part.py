@@ -12,6 +12,7 @@ from halfseen.logs.columns import shown
 from halfseen.logs.logs import Logs
 
 _DAY = r"\d{4}-\d{2}-\d{2}"
+_OF_ZONE = re.compile(r"([T ].*?)(?: ?Z|[+-][\d:]+)$")
 
 
 def since(logs: Logs, when: str | int | datetime) -> Logs:
@@ -23,13 +24,15 @@ def since(logs: Logs, when: str | int | datetime) -> Logs:
         The log.
     when
         Name of the first trajectory to keep; or a date, if the trajectories have a column of dates, also as ISO text.
+        A date without a zone is one of the column's own clock.
 
     Raises
     ------
     ArgumentError
         `when` matches no trajectory and no date, or a date is missing, or columns of dates disagree.
     """
-    dates = {name: found for name in logs.trajectory_columns if (found := _dates(logs.trajectories[name])) is not None}
+    columns = {name: _dates(logs.trajectories[name], _has_zone(when)) for name in logs.trajectory_columns}
+    dates = {name: found for name, found in columns.items() if found is not None}
     is_kept = _from_name(logs, when) if not isinstance(when, datetime) else None
     if is_kept is None and dates:
         is_kept = _from_dates(logs, dates, when)
@@ -46,15 +49,20 @@ def _from_name(logs: Logs, when: Any) -> Any:
     return None if at < 0 else pd.RangeIndex(len(names)) >= at
 
 
-def _dates(values: Any) -> Any:
-    """A column of dates, also of ISO text; None for another."""
+def _has_zone(when: Any) -> bool:
+    return getattr(pd.to_datetime(when, format="ISO8601", errors="coerce"), "tzinfo", None) is not None
+
+
+def _dates(values: Any, in_utc: bool) -> Any:
+    """A column of dates, also of ISO text, whose offsets are dropped unless `in_utc`; None for another."""
     if pd.api.types.is_datetime64_any_dtype(values):
         return values
     text = values.dropna().astype(str)
     if pd.api.types.is_numeric_dtype(values) or not len(text) or not text.str.match(_DAY).all():
         return None
-    is_zoned = text.str.contains(r"[T ].*(?:Z|[+-][\d:]+)$")
-    dates: Any = pd.to_datetime(text, format="ISO8601", errors="coerce", utc=bool(is_zoned.any()))
+    is_zoned = text.map(lambda each: _OF_ZONE.search(each) is not None)
+    text = text if in_utc else text.str.replace(_OF_ZONE, r"\1", regex=True)
+    dates: Any = pd.to_datetime(text, format="ISO8601", errors="coerce", utc=in_utc and bool(is_zoned.any()))
     return None if dates.isna().any() or is_zoned.nunique() > 1 else dates.reindex(values.index)
 
 

@@ -10,7 +10,7 @@ from halfseen.logs.grouping import covariate_columns, is_number
 from halfseen.logs.logs import Logs
 from halfseen.suggestions import alike, spelled_out
 
-NUM_NAMED, MOST_SPELLINGS, FEWEST_MEASURED = 3, 1000, 8
+NUM_NAMED, MOST_SPELLINGS, FEWEST_MEASURED, FEWEST_WHOLE = 3, 1000, 8, 21
 AS_NUMBER = r"[+-]?(?:\d{1,3}(?:[.,'\u2019 ]\d{3})+(?:[.,]\d+)?|\d*[.,]\d+)"
 """A fraction, or a number with thousands separators."""
 AS_MEASURED = re.compile(
@@ -33,11 +33,17 @@ def numbers_as_text(logs: Logs) -> Iterator[str]:
         measured = {each: match["unit"] for each in kinds if (match := AS_MEASURED.fullmatch(each))}
         are_alike = len(measured) >= FEWEST_MEASURED and len({*measured.values()}) == 1
         numbers = [*measured] if are_alike else numbers
-        if sum(kinds[each] for each in numbers) > 0.5 * sum(kinds.values()):
-            yield (
-                f"{name} is text that looks like numbers, such as {shown(numbers[0])}, and each counts as a category: "
-                "write them as numbers, with a decimal point, and without separators and units"
-            )
+        whole = [each for each in kinds if re.fullmatch(r"[+-]?\d+", each)]
+        most = 0.5 * sum(kinds.values())
+        if sum(kinds[each] for each in numbers) > most:
+            example = numbers[0]
+            remedy = "write them as numbers, with a decimal point, and without separators and units"
+        elif len(whole) >= FEWEST_WHOLE and sum(kinds[each] for each in whole) > most:
+            example, remedy = whole[0], "if they are sizes, and no names, write them as numbers"
+        else:
+            continue
+        trouble = f"looks like numbers, such as {shown(example)}, and each counts as a category"
+        yield f"{name} is text that {trouble}: {remedy}"
 
 
 def missing_as_text(logs: Logs) -> Iterator[str]:
@@ -64,12 +70,20 @@ def _names(logs: Logs) -> Iterator[tuple[str, list[Any]]]:
 def spelling(logs: Logs) -> Iterator[str]:
     """Find names that differ only in their spelling."""
     for what, found in _names(logs):
-        for same in alike(found):
+        for same in (*alike(found), *_equal(found)):
             as_first = ", ".join(f"{json.dumps(other)} = {json.dumps(same[0])}" for other in same[1:])
             yield (
                 f"{what} {listed(spelled_out(same))} differ only in their spelling: count them as one (in a mapping: "
                 f"values = {{{as_first}}})"
             )
+
+
+def _equal(names: Iterable[Any]) -> Iterator[list[str]]:
+    """Group the names that are one number, such as 0.5 and 0.50."""
+    numbers: dict[float, list[str]] = {}
+    for name in sorted(name for name in names if isinstance(name, str) and re.fullmatch(r"-?\d+(\.\d+)?", name)):
+        numbers.setdefault(float(name), []).append(name)
+    yield from (same for same in numbers.values() if len(same) > 1)
 
 
 def dates_among_names(logs: Logs) -> Iterator[str]:

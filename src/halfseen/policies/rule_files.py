@@ -27,6 +27,7 @@ import csv
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +124,7 @@ def rows_of(entries: Entries, known: Mapping[str, Hashable]) -> tuple[RuleRow, .
         if not isinstance(action, str | int) or isinstance(action, bool) or action == "":
             raise ArgumentError(f"row {number}: action is {action!r}; give one")
         conditions = [_condition(number, str(name), part) for name, text in asked.items() for part in _parts(text)]
+        _refuse_impossible(number, conditions)
         rows.append(RuleRow(tuple(conditions), known.get(str(action), action)))
     return tuple(rows)
 
@@ -147,6 +149,20 @@ def _condition(number: int, column: str, text: str) -> Condition:
     return Condition(column, sign or "=", value, written)
 
 
+def _refuse_impossible(number: int, conditions: Sequence[Condition]) -> None:
+    """Refuse conditions on a column that no number fulfils, or for the stage no whole number from 1."""
+    for column in dict.fromkeys(one.column for one in conditions if not isinstance(one.value, str)):
+        asked = [one for one in conditions if one.column == column and not isinstance(one.value, str)]
+        at = sorted(float(one.value) for one in asked)
+        near = [at[0] - 1.0, *at, *((low + high) / 2.0 for low, high in pairwise(at)), at[-1] + 1.0]
+        if column == STAGE:
+            near = [stage for each in at for stage in (1.0, np.floor(each), np.floor(each) + 1.0) if stage >= 1.0]
+        if not any(all(COMPARISONS[one.sign](value, one.value) for one in asked) for value in near):
+            written = " and ".join(f"{one.sign} {one.written}".removeprefix("= ") for one in asked)
+            remedy = "stages are whole numbers from 1" if column == STAGE else "the row would never match"
+            raise ArgumentError(f"row {number}: no {column} is {written}; {remedy}")
+
+
 def number_or_text(written: str) -> float | str:
     """A finite number, or the text as it is."""
     try:
@@ -162,6 +178,14 @@ def check_values(number: int, row: RuleRow, known: Collection[str], texts: Colle
         if one.text is None if one.column in texts else isinstance(one.value, str):
             holds = "text" if one.column in texts else "numbers"
             raise ArgumentError(f"row {number}: {one.column} is {one.value!r}; give {holds}, as in the policy")
+
+
+def unseen(rows: Sequence[RuleRow], categories: Mapping[str, Collection[str]]) -> Iterator[str]:
+    """Say which conditions ask for a text that no log showed; they hold never, or always."""
+    for one in (one for row in rows for one in row.conditions):
+        if one.column in categories and one.text not in categories[one.column]:
+            meant = did_you_mean(str(one.text), categories[one.column])
+            yield f"a row asks for {one.column} {one.sign} {one.text}, which no log showed{meant}"
 
 
 FINISH = "FINISH"

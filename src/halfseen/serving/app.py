@@ -104,6 +104,7 @@ def app_of(
     refused: Any = {HTTPException: _no_address}
     app = Starlette(routes=routes, exception_handlers=refused, lifespan=lambda _: _running(served, wire))
     largest = largest_bytes or (LARGEST_CLOUD_BYTES if served.service.stored.is_table else LARGEST_STATE_BYTES)
+    app.router.redirect_slashes = False
     return Bounded(app, _refused, token, largest)  # type: ignore[arg-type]
 
 
@@ -231,4 +232,6 @@ async def _refused(refusal: Refusal, scope: Any, receive: Any, send: Any) -> Non
 async def _no_address(request: Request, error: Exception) -> Response:
     status = error.status_code if isinstance(error, HTTPException) else 500
     trouble = "this address does not exist" if status == 404 else f"{request.method} is not answered here"
-    return _error(Refusal(status, f"{request.url.path[:80]}: {trouble}; /api lists the addresses"))
+    refused = _error(Refusal(status, f"{request.url.path[:80]}: {trouble}; /api lists the addresses"))
+    refused.headers.update(getattr(error, "headers", None) or {})
+    return refused

@@ -49,3 +49,16 @@ def test_a_text_among_rewards_and_other_separators_are_told(tmp_path):
     file.write_text(STEPS.format("a", "b", "go", "1.5").replace(",", ";").replace(".5", ",5"))
     with refused(r"steps\.csv: its cells are separated by ';'; export it with commas between cells and points in"):
         read_steps(file, StepRules(step_s=1.0))
+
+
+@pytest.mark.parametrize("name", ["step_id", "frame_index"])
+def test_steps_that_are_not_in_the_order_of_their_numbers_are_refused(tmp_path, name):
+    def read_numbered(*numbers):
+        rows = (STEPS.format("a", "b", "go", "1.5") + "b2,true,false,false,1,go,3\n").splitlines()
+        text = "".join(f"{row},{number}\n" for row, number in zip(rows, (name, *numbers), strict=True))
+        (tmp_path / "steps.csv").write_text(text)
+        return read_steps(tmp_path / "steps.csv", StepRules(step_s=1.0))
+
+    assert list(read_numbered(0, 1, 0, 1, 0).stage_covariates) == ["observation.x"]
+    with refused(rf"steps\.csv, row 3: {name} is 0 after 1 in one episode; sort the rows"):
+        read_numbered(0, 1, 1, 0, 0)

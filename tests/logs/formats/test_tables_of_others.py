@@ -80,7 +80,7 @@ def test_the_index_of_pandas_and_r_is_a_column(read_table, draft):
     assert by_row.trajectories["trajectory"].tolist() == [0, 1, 2, 3]
 
 
-@pytest.mark.parametrize("text", ["NA", "nan", "<NA>", "NULL", "#NV", "#REF!", "#DIV/0!"])
+@pytest.mark.parametrize("text", ["NA", "nan", "<NA>", "NULL", "#NV", "#REF!", "#DIV/0!", "<null>"])
 @pytest.mark.parametrize("column", ["tool", "c", "run"])
 def test_a_text_for_missing_is_no_name(read_table, column, text):
     table = seen("red", text, "blue") if column == "c" else seen("red", "red", "blue")
@@ -93,6 +93,21 @@ def test_a_text_for_missing_is_no_name(read_table, column, text):
     named = SEEN.replace('"c"}', f'"c", values = {{"{text}" = "none"}}}}')
     assert stages(read_table(table, named), "c")[1][-1] == "none"
     assert stages(read_table(table, SEEN + f'table.missing = ["{text}"]'), "c")[1][-1] is None
+
+
+@pytest.mark.parametrize("text", [r"\N", "(null)", "[NULL]", "Null", "NONE", "undefined", "n.a."])
+def test_a_mark_for_nothing_in_any_letters_is_no_cause(read_table, text):
+    table = f"run,tool,ms,worth,stop\na,x,10,1,{text}\nb,x,20,1,ok\n"
+    with refused(r"line 2, column 'stop': .*may mean that nothing is there: set missing = \["):
+        read_table(table, PLAIN)
+
+
+@pytest.mark.parametrize("codes", [("1", "0"), ("2", "1"), ("yes", "no")])
+def test_a_status_of_codes_none_of_which_means_finished_is_doubted(read_table, codes):
+    table = "run,tool,ms,worth,stop\na,x,10,1,{0}\nb,x,20,,{1}\nc,x,30,1,{0}\n".format(*codes)
+    with pytest.warns(HalfseenWarning) as told:
+        read_table(table, PLAIN.replace('[""]', "[]"))
+    assert f"'stop' has no finished trajectory, and cuts by {', '.join(sorted(codes))}; if" in str(told[-1].message)
 
 
 def test_no_cause_of_a_cut_is_a_mark_for_nothing(read_table):

@@ -166,11 +166,20 @@ def test_formulas_that_nobody_computed_are_warned_of(tmp_path):
     book.save(tmp_path / "a.xlsx")
     with pytest.warns(HalfseenWarning, match="formulas without a value count as empty, that of B2 first of 2; open"):
         assert rows_of_sheet(tmp_path / "a.xlsx", None)[2] == ["a", ""]
-    part = "xl/worksheets/sheet1.xml"
-    with zipfile.ZipFile(tmp_path / "a.xlsx") as old, zipfile.ZipFile(tmp_path / "b.xlsx", "w") as new:
-        for name in old.namelist():
-            content = old.read(name)
-            new.writestr(name, re.sub(rb'(<c r="B[23]")', rb'\1 t="str"', content) if name == part else content)
+
+    def rewritten(pattern, by):
+        part = "xl/worksheets/sheet1.xml"
+        with zipfile.ZipFile(tmp_path / "a.xlsx") as old, zipfile.ZipFile(tmp_path / "b.xlsx", "w") as new:
+            for name in old.namelist():
+                content = old.read(name)
+                new.writestr(name, re.sub(pattern, by, content) if name == part else content)
+        return rows_of_sheet(tmp_path / "b.xlsx", None)[2]
+
+    # As other programs write XML.
+    prefix, changed_names = rb' xmlns="|<(/?)(?=[a-z])', lambda at: b' xmlns:x="' if at[1] is None else b"<%sx:" % at[1]
+    for pattern, by in ((prefix, changed_names), (rb'<c r="', rb'<c s="0" r="')):
+        with pytest.warns(HalfseenWarning, match="that of B2 first of 2; open"):
+            assert rewritten(pattern, by) == ["a", ""]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert rows_of_sheet(tmp_path / "b.xlsx", None)[2] == ["a", ""]
+        assert rewritten(rb'(<c r="B[23]")', rb'\1 t="str"') == ["a", ""]

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 from halfseen.errors import HalfseenError, LogError
 from halfseen.installation import extra
-from halfseen.reading import TABLE, check_file, check_sqlite, check_unpacked, json_of, opened, refused
+from halfseen.logs.formats.sqlite_file import check_sqlite
+from halfseen.reading import TABLE, check_file, check_unpacked, json_of, opened, refused
 
 STORAGES = (".mcap", ".db3", ".bag")
 ENCODINGS = ("cdr", "json", "protobuf")
@@ -211,7 +212,7 @@ class _Bounded:
 
 def _decoder(schema: Any, encoding: str) -> Callable[[bytes], Any]:
     if encoding == "json":
-        return lambda content: json_of(content.decode("utf-8"))
+        return lambda content: json_of(content.decode("utf-8"), any_number=True)
     if encoding == "protobuf":
         decode = extra("mcap_protobuf.decoder", "mcap").DecoderFactory().decoder_for(encoding, schema)
         if decode is None:

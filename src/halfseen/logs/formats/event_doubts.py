@@ -36,6 +36,9 @@ Groups: TypeAlias = Mapping[Any, list[int]]
 """Rows by the name of their trajectory."""
 
 
+_IS_CODE = re.compile(r"-?\d+(\.0)?|true|false|yes|no", re.IGNORECASE)
+
+
 def refuse_copies(tables: Sequence[Cells]) -> None:
     """Refuse a file that has the rows of another, whose trajectories would hold each row twice (`LogError`)."""
     for one, other in combinations(tables, 2):
@@ -79,12 +82,13 @@ def refuse_unset(cells: Cells, stamps: Stamps, clock: Clock) -> None:
 
 def refuse_missing_like(cells: Cells, rows: Sequence[int], column: str, known: Collection[str], key: str) -> None:
     """Refuse a text that other programs write for a missing value (`LogError`), unless the mapping names it."""
-    like = {*MISSING_TEXTS, *(NO_CAUSES if key == "ending" else ())} - {*known}
-    row = next((row for row in rows if cells.columns[column][row] in like), None)
+    texts, causes = cells.columns[column], {text.lower() for text in (*MISSING_TEXTS, *NO_CAUSES) if key == "ending"}
+    found = (row for row in rows if texts[row] in MISSING_TEXTS or texts[row].lower() in causes)
+    row = next((row for row in found if texts[row] not in known), None)
     if row is not None:
-        texts = json.dumps([cells.columns[column][row]])
         named = "values, or in finished" if key == "ending" else "values"
-        trouble = f"may mean that nothing is there: set missing = {texts} in [table], or name it in {named}"
+        remedy = f"set missing = {json.dumps([texts[row]])} in [table], or name it in {named}"
+        trouble = f"may mean that nothing is there: {remedy}"
         cells.refuse(row, column, trouble)
 
 
@@ -262,8 +266,17 @@ def _run_on(found: Sequence[Trajectory]) -> bool:
     return len(found) >= FEWEST_ON_ONE_CLOCK and follow
 
 
-def warn_of_early(cells: Cells, events: list[Event]) -> None:
-    """Warn about values before the first beginning of a trajectory."""
-    num_early = next((k for k, event in enumerate(events) if event.key == "trajectory"), 0)
-    if num_early:
+def warn_of_codes(cells: Cells, mapping: EventMapping, found: Sequence[Trajectory]) -> None:
+    """Warn if all trajectories are cut, by numbers or truth values: they may be the codes of a status."""
+    causes = {str(each.cause) for each in found}
+    if causes and all(_IS_CODE.fullmatch(cause) for cause in causes):
+        column, codes = mapping.column("ending"), ", ".join(sorted(causes)[:3])
+        trouble = f"column {column!r} has no finished trajectory, and cuts by {codes}"
+        warn(cells.file, f"{trouble}; if these are codes of a status, name those that mean finished in ending.finished")
+
+
+def warn_of_early(cells: Cells, events: list[Event], kept: Collection[str]) -> None:
+    """Warn about values before the first beginning of a trajectory, but for those that stay known."""
+    begin = next((k for k, event in enumerate(events) if event.key == "trajectory"), 0)
+    if num_early := sum(event.key not in kept for event in events[:begin]):
         warn(cells.file, f"{num_early} values come before the first beginning of a trajectory; they are left out")

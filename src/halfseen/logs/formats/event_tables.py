@@ -90,6 +90,7 @@ def read_event_table(
     found = usable(cells.file, found)
     event_doubts.warn_of_stale(cells, wanted, num_stale)
     event_doubts.warn_of_late(cells, wanted, late)
+    event_doubts.warn_of_codes(cells, wanted, found)
     if wanted.clock.since == "trajectory":
         event_doubts.warn_of_running_clock(cells, wanted.clock, found)
     return logs_of(cells.file, file, found, missing=missing)
@@ -191,7 +192,7 @@ def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tu
         if not has_begins:
             yield name, events
             continue
-        event_doubts.warn_of_early(cells, events)
+        event_doubts.warn_of_early(cells, events, mapping.kept)
         for begun, following in split(Path(cells.file), [events], mapping.column("trajectory"), file, mapping.kept):
             yield begun, following if since is None else [Event(0, "begin", None), *following]
     warn_of_first_rewards(cells, early)

@@ -20,9 +20,10 @@ from halfseen.installation import extra
 from halfseen.logs.columns import OWN_NAMES, refuse_repeated, shown
 from halfseen.logs.formats.as_text import from_list_texts
 from halfseen.logs.formats.mapping import Given, mapping_in
+from halfseen.logs.formats.sqlite_file import check_sqlite
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
-from halfseen.reading import TABLE, UNPACKED, check_file, check_sqlite, reason_of
+from halfseen.reading import TABLE, UNPACKED, check_file, reason_of
 
 ROWS_AT_ONCE = 10_000
 BYTES_OF_VALUE = 8

@@ -70,8 +70,8 @@ def read_steps(
         A file is missing or broken, the flags contradict one another, or the log breaks an invariant.
     """
     paths = [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
-    rules = StepRules() if rules is None else rules
     place = ", ".join(map(str, paths[:3])) + (f" and {len(paths) - 3} more" if len(paths) > 3 else "")
+    rules = rules or StepRules()
     named = {"action": "action", "reward": "reward", "done": TERMINAL} | rules.named
     table = _flattened(place, read_tables(paths, names=(named["action"], *EPISODES)))
     require(place, table.column_names, {"end of an episode": LAST}, "add it")
@@ -80,10 +80,12 @@ def read_steps(
     if label is None:
         require(place, table.column_names, {"beginning of an episode": FIRST}, f"add it, or {EPISODES[0]}")
     seen = [name for name in table.column_names if name.startswith(SEEN)]
-    read = {*named.values(), LAST, label, *seen, *({FIRST, DISCOUNT} & {*table.column_names})} - {None}
+    others = {FIRST, DISCOUNT, *StepColumns.counters} & {*table.column_names}
+    read = {*named.values(), LAST, label, *seen, *others} - {None}
     steps = StepColumns(place, {name: as_array(place, table, name) for name in read})
     is_last, is_terminal = steps.flags(LAST), steps.flags(named["done"])
     names, begins = _episodes(steps, label)
+    steps.refuse_disorder(begins)
     last = begins[1:] - 1
     is_step = np.ones(len(is_last), dtype=bool)
     is_step[last] = ~is_last[last]
@@ -91,19 +93,17 @@ def read_steps(
     _refuse_without_step(place, names, begins, is_step, remedy)
     _warn_of_unread(place, table, {*named.values()}, rewards[~is_step], remedy)
     _refuse_zero_discount(steps, names, last, is_step, named["done"])
-    observed = steps.observed(seen)
-    actions = steps.actions(named["action"], is_step)
-    step_s = rules.step_in(place)
+    observed, actions = steps.observed(seen), steps.actions(named["action"], is_step)
     if rules.clock is None:
-        ends_s = even_ends(np.append(0, np.cumsum(is_step))[begins], step_s)
+        ends_s = even_ends(np.append(0, np.cumsum(is_step))[begins], rules.step_in(place))
     else:
         ends_s = ends_by_observations(steps.numbers(rules.clock), begins)[is_step]
     refuse_early(place, names, begins, is_last | is_terminal)
     if (wrong := first_true(is_terminal[last] & ~is_last[last])) is not None:
-        name = shown(names[wrong])
-        raise LogError(f"{place}, episode {name}: its last row terminates it and is not {LAST}; fix one of the two")
-    endings = rules.endings(is_terminal[last], is_last[last])
-    return StepTable(names, begins, is_step, observed, actions, rewards[is_step], ends_s, endings).logs(place, missing)
+        trouble = f"its last row terminates it and is not {LAST}; fix one of the two"
+        raise LogError(f"{place}, episode {shown(names[wrong])}: {trouble}")
+    found = observed, actions, rewards[is_step], ends_s, rules.endings(is_terminal[last], is_last[last])
+    return StepTable(names, begins, is_step, *found).logs(place, missing)
 
 
 def _episodes(steps: StepColumns, label: str | None) -> tuple[list[int | str], Int[np.ndarray, " E1"]]:
@@ -172,7 +172,7 @@ def _refuse_zero_discount(
 def _warn_of_unread(
     place: str, table: pa.Table, read: set[str], last_rewards: Float[np.ndarray, " E"], remedy: str
 ) -> None:
-    known = {*read, *EPISODES, FIRST, LAST, TERMINAL}
+    known = {*read, *EPISODES, *StepColumns.counters, FIRST, LAST, TERMINAL}
     left_out = [name for name in table.column_names if name not in known and not name.startswith(SEEN)]
     if left_out:
         warn(place, f"left out are {', '.join(left_out)}: they were not known before the action")
@@ -334,7 +334,7 @@ def _array(place: str, name: str, values: Any) -> np.ndarray:
     if pa.types.is_dictionary(kind):
         values = values.dictionary_decode()
     if pa.types.is_decimal(values.type):
-        values = values.cast(pa.float64())
+        values = values.cast(pa.string()).cast(pa.float64())
     if pa.types.is_binary(values.type) or pa.types.is_large_binary(values.type):
         values = _as_text(values)
     if pa.types.is_string(values.type) or pa.types.is_large_string(values.type) or pa.types.is_null(values.type):

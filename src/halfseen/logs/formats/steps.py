@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import prod
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -102,6 +102,18 @@ class StepColumns:
 
     place: str
     columns: Mapping[str, Shaped[np.ndarray, "N ..."]]
+    counters: ClassVar[tuple[str, ...]] = ("step_id", "step_index", "frame_index", "timestep")
+    """Columns that number the steps of an episode."""
+
+    def refuse_disorder(self, begins: Int[np.ndarray, " E1"]) -> None:
+        """Refuse an episode whose rows are not in the order of their numbers (`LogError`)."""
+        for name in (name for name in self.counters if name in self.columns):
+            number = self.columns[name]
+            is_before = np.append(False, np.diff(number) < 0) if number.dtype.kind in "iu" else np.zeros(0, dtype=bool)
+            is_before[begins[:-1][begins[:-1] < len(is_before)]] = False
+            if (row := first_true(is_before)) is not None:
+                trouble = f"{name} is {number[row]} after {number[row - 1]} in one episode"
+                raise LogError(f"{self.place}, row {row}: {trouble}; sort the rows")
 
     def numbers(self, name: str, role: str = "clock") -> Float[np.ndarray, " N"]:
         """Rewards, flags or times, one number per step; true counts as 1, dates from the first; others are refused."""

@@ -217,6 +217,8 @@ def _warn_of_rounded(where: str, column: Any) -> bool:
 
 def _decoded(file: Path, content: bytes, encoding: str | None) -> tuple[str, str]:
     """Decode text; without a given encoding, by its byte order mark, else as UTF-8, else as Windows-1252."""
+    if content.startswith((b"\x1f\x8b", b"\x28\xb5\x2f\xfd")):
+        raise LogError(f"{file}: it is compressed, which its name does not say; unpack it, or add .gz if gzip did that")
     is_wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
     found = ["utf-16"] if is_wide else ["utf-8-sig"] if content[:3] == b"\xef\xbb\xbf" else ["utf-8", "cp1252"]
     names = found if encoding is None else ["utf-8-sig" if encoding == "utf-8" else encoding]
@@ -234,10 +236,8 @@ def _decoded(file: Path, content: bytes, encoding: str | None) -> tuple[str, str
 def _split(file: Path, text: str, layout: TextLayout) -> Cells:
     """Split text into cells."""
     if (at := text.find("\0")) >= 0:
-        raise LogError(
-            f"{file}, line {text.count(chr(10), 0, at) + 1}: it holds null characters; delete them if power was lost "
-            "there; else set table.encoding, such as 'utf-16', or export it as UTF-8"
-        )
+        row, remedy = text.count("\n", 0, at) + 1, "else set table.encoding, such as 'utf-16', or export it as UTF-8"
+        raise LogError(f"{file}, line {row}: it holds null characters; delete them if power was lost there; {remedy}")
     lines = io.StringIO(text, newline="")
     for _ in range(layout.heading - 1):
         lines.readline()

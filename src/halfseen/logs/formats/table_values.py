@@ -27,10 +27,11 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d{1,3})?")
 _FRACTION = {mark: re.compile(rf"[-+]?\d*{re.escape(mark)}\d+([eE][-+]?\d+)?") for mark in ".,"}
 _IN_THOUSANDS = {mark: re.compile(rf"[-+]?[1-9]\d{{0,2}}({re.escape(mark)}\d{{3}})+") for mark in ".,"}
 _GROUPED = re.compile(r"[-+]?\d{1,3}[.,'\u2019 \u00a0\u202f]\d{3}(?!\d)")
-MISSING_TEXTS = ("NA", "N/A", "n/a", "#N/A", "#NV", "NaN", "nan", "NULL", "null", "<NA>", "NaT")
+MISSING_TEXTS = ("NA", "N/A", "n/a", "#N/A", "#NV", "NaN", "nan", "NULL", "null", "<NA>", "NaT", "\\N", "(null)")
 MISSING_TEXTS += ("#VALUE!", "#WERT!", "#DIV/0!", "#REF!", "#BEZUG!", "#NAME?", "#NUM!", "#ZAHL!", "#NULL!", ".")
+MISSING_TEXTS += ("<null>", "[NULL]", "#N/A N/A")
 """Texts that R, pandas, databases, spreadsheets, Stata and SAS write for a missing value or an error."""
-NO_CAUSES = ("None", "none", "nil", "-", "--", "---", "?")
+NO_CAUSES = ("None", "none", "nil", "undefined", "n.a.", "-", "--", "---", "?")
 """Texts that may be names, but no causes of a cut."""
 _MISSING_LIKE = {text.lower() for text in (*MISSING_TEXTS, *NO_CAUSES, "NV")}
 _WITH_UNIT = re.compile(r"([-+\d][\d.,'\u2019 ]*\d|\d) ?([^\W\d]{1,4}|%|°[CF]?)")

@@ -22,9 +22,12 @@ LAST_YEAR_OF_DURATIONS = 1904
 """Dates until this year are durations of more than a day, in a format such as hh:mm:ss."""
 _BYTES_AT_ONCE = 2**20
 _UNCOMPUTED = re.compile(
-    rb'<c r="([A-Z]+[0-9]+)"(?:(?! t="str")[^>])*><f(?:[^>]*/>|[^>]*>[^<]*</f>)(?:<v ?/>|<v></v>)?</c>'
+    rb"""(?x)<(?:\w+:)?c (?=\s [^>]*? \br="([A-Z]+[0-9]+)") (?:(?!\st="str") [^>])* >
+    <(?:\w+:)?f (?: [^>]*/> | [^>]*>[^<]*</(?:\w+:)?f> )
+    (?: <(?:\w+:)?v\s?/> | <(?:\w+:)?v></(?:\w+:)?v> )? </(?:\w+:)?c>"""
 )
-"""A cell with a formula and without a value; an empty text is a value."""
+"""A cell with a formula and without a value; an empty text is a value. Names of XML may have a prefix."""
+_END_OF_CELL = re.compile(rb"</(?:\w+:)?c>")
 LONGEST_WHOLE = 10**15
 """Excel rounds numbers of more digits, so that they are no names."""
 
@@ -69,8 +72,10 @@ def _warn_of_uncomputed(file: Path, archive: zipfile.ZipFile) -> None:
         with archive.open(name) as part:
             rest = b""
             while content := part.read(_BYTES_AT_ONCE):
-                cells, end, rest = (rest + content).rpartition(b"</c>")
-                found += _UNCOMPUTED.findall(cells + end)
+                content = rest + content
+                end = max((cell.end() for cell in _END_OF_CELL.finditer(content)), default=0)
+                found += _UNCOMPUTED.findall(content, 0, end)
+                rest = content[end:]
     if found:
         trouble = f"formulas without a value count as empty, that of {found[0].decode()} first of {len(found):,}"
         warn(file, f"{trouble}; open the file in a spreadsheet program and save it")
