@@ -302,11 +302,11 @@ def _parsed(parse: Callable[[], Any]) -> Any:
         raise ValueError(f"it is nested more than {MOST_LEVELS} levels deep") from None
 
 
-def _of_digits(digits: str) -> float:
+def _of_digits(digits: str) -> int | float:
     return int(digits) if len(digits) <= 20 and -(2**63) <= int(digits) < 2**64 else float(digits)
 
 
-def _whole(digits: str) -> float:
+def _whole(digits: str) -> int | float:
     if isinstance(number := _of_digits(digits), float):
         raise ValueError(f"{digits[:24]}… is not a 64-bit whole number")
     return number

@@ -290,8 +290,8 @@ def test_what_is_said():
 
 
 def check_false_verdicts(draw):
-    false = sum(beats_at(counted(draw()), 0.0, dealing.PROMOTES) is not None for _ in range(300))
-    assert false <= 300 * dealing.PROMOTES + 3.0 * np.sqrt(300 * dealing.PROMOTES)
+    false = sum(beats_at(counted(draw()), 0.0, dealing.PROMOTES) is not None for _ in range(150))
+    assert false <= 150 * dealing.PROMOTES + 3.0 * np.sqrt(150 * dealing.PROMOTES)
 
 
 @pytest.mark.slow

@@ -296,7 +296,7 @@ def test_either_side_is_killed_and_no_decision_is_lost_or_taken_twice(tmp_path):
     mapping.write_text(halfseen("serve", policy, "--mapping-template"))
     options = ("--mapping", mapping, "--record", tmp_path / "logs", "--explore", 0.5, "--port", 0, "--monitor-every", 0)
     anywhere, done = "opc.tcp://127.0.0.1:0", 0
-    for _ in range(4):
+    for _ in range(2):
         with process(CELL, "--url", anywhere, "--memory", memory, "--trajectories", 1000, "--faster", 1e9) as url:
             for _ in range(2):
                 with process(*HALFSEEN, "serve", policy, "--opcua", url, *options):

@@ -231,7 +231,7 @@ def missing(law):
 )
 def test_the_law_that_made_the_attempts_is_found_however_they_were_cut(family, config, tolerance, cut_share, cut_kind):
     truth = config.grasping
-    made = [evidence(2000, cut_share, cut_kind, config=config, seed=seed).tried for seed in range(6)]
+    made = [evidence(2000, cut_share, cut_kind, config=config, seed=seed).tried for seed in range(4)]
     fits = [family.fitted(tried, truth.limit_s) for tried in made]
     mean = np.mean([family.numbers_of(law) for law in fits], axis=0)
     assert (np.abs(mean - family.numbers_of(truth)) < np.array(tolerance)).all(), mean
