@@ -154,7 +154,7 @@ def _refuse_impossible(number: int, conditions: Sequence[Condition]) -> None:
     for column in dict.fromkeys(one.column for one in conditions if not isinstance(one.value, str)):
         asked = [one for one in conditions if one.column == column and not isinstance(one.value, str)]
         at = sorted(float(one.value) for one in asked)
-        near = [at[0] - 1.0, *at, *((low + high) / 2.0 for low, high in pairwise(at)), at[-1] + 1.0]
+        near = [-np.inf, *at, *(low / 2.0 + high / 2.0 for low, high in pairwise(at)), np.inf]
         if column == STAGE:
             near = [stage for each in at for stage in (1.0, np.floor(each), np.floor(each) + 1.0) if stage >= 1.0]
         if not any(all(COMPARISONS[one.sign](value, one.value) for one in asked) for value in near):
