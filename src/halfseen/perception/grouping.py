@@ -259,6 +259,9 @@ def _is_one(large: _Piece, small: _Piece, joint: _Piece, sheets: Labels, plane: 
 
 def _is_near(large: _Piece, small: _Piece) -> bool:
     """Whether some points of two pieces are close together."""
+    (low, high), (begin, end) = ((each.thin_m.min(axis=0), each.thin_m.max(axis=0)) for each in (large, small))
+    if np.maximum(low - end, begin - high).max() > FARTHEST_PIECES_M:
+        return False
     return bool(KDTree(large.thin_m).query(small.thin_m)[0].min() <= FARTHEST_PIECES_M)
 
 

@@ -9,7 +9,6 @@ from functools import cache, partial
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
-from skimage.measure import points_in_poly
 
 from halfseen.arrays import Hides, PerObject, Points
 from halfseen.perception.objects import NO_OBJECT, Labels
@@ -17,6 +16,9 @@ from halfseen.perception.plane import Plane
 from halfseen.perception.range_image import Pixels, RangeImage
 from halfseen.perception.solids import Hull, Vessel
 from halfseen.shapes import Bool, Float, Int
+
+ON_EDGE_PX = 1e-10
+"""Pixels this close to the edge of a polygon are within."""
 
 
 def convex_pixels(corners_px: Float[np.ndarray, "v 2"], shape: tuple[int, int]) -> Int[np.ndarray, " px"]:
@@ -29,11 +31,20 @@ def convex_pixels(corners_px: Float[np.ndarray, "v 2"], shape: tuple[int, int]) 
     shape
         Rows and columns of the image [px].
     """
-    ends_px = np.floor(corners_px.min(axis=0)), np.ceil(corners_px.max(axis=0)) + 1
-    (left, top), (right, bottom) = (np.clip(end, 0, shape[::-1]).astype(int) for end in ends_px)
-    row, column = np.mgrid[top:bottom, left:right].reshape(2, -1)
-    is_within = points_in_poly(np.stack([column, row], axis=1).astype(float), corners_px)
-    return (row * shape[1] + column)[is_within]
+    num_rows, num_columns = shape
+    (x, y), (next_x, next_y) = corners_px.T, np.roll(corners_px, -1, axis=0).T
+    top, bottom = np.ceil(y.min() - ON_EDGE_PX), np.floor(y.max() + ON_EDGE_PX)
+    row = np.arange(max(top, 0), min(bottom, num_rows - 1) + 1)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = x + (row - y) * ((next_x - x) / (next_y - y))
+    # A level edge begins in its row, and ends there as the next one begins.
+    at = np.where(np.abs(next_y - y) < ON_EDGE_PX, x, at).clip(np.minimum(x, next_x), np.maximum(x, next_x))
+    crosses = (np.minimum(y, next_y) - ON_EDGE_PX <= row) & (row <= np.maximum(y, next_y) + ON_EDGE_PX)
+    first = np.ceil(np.where(crosses, at, np.inf).min(axis=1) - ON_EDGE_PX).clip(0, num_columns).astype(int)
+    last = np.floor(np.where(crosses, at, -np.inf).max(axis=1) + ON_EDGE_PX).clip(-1, num_columns - 1).astype(int)
+    num = (last - first + 1).clip(0)
+    begin = row[:, 0].astype(int) * num_columns + first
+    return np.repeat(begin - np.cumsum(num) + num, num) + np.arange(num.sum())
 
 
 # Points with a smaller depth are not projected [m].
