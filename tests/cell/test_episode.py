@@ -177,14 +177,13 @@ def test_a_lift_shows_what_stands_behind_and_the_cup_stands_where_it_was_then_go
 
 @pytest.mark.slow
 @pytest.mark.parametrize("grasping", ["completed", "visible-only"])
-def test_most_attempts_on_random_tables_hold_and_completed_shapes_no_less(grasping):
+def test_most_attempts_on_a_random_table_hold_and_completed_shapes_no_less(grasping):
     held = []
-    for seed in range(60, 61):
-        cell = Workcell(random_table(seed), np.random.default_rng(seed), grasping=grasping)
+    cell = Workcell(random_table(60), np.random.default_rng(60), grasping=grasping)
+    cell.look()
+    for number in range(len(cell.memory.objects)):
+        held.append(cell.memory.objects[number].seen is not None and cell.lift(number).is_held)
         cell.look()
-        for number in range(len(cell.memory.objects)):
-            held.append(cell.memory.objects[number].seen is not None and cell.lift(number).is_held)
-            cell.look()
     print(f"{grasping}: {np.mean(held):.2f} of {len(held)} held")
     assert np.mean(held) > {"completed": 0.85, "visible-only": 0.6}[grasping]
 

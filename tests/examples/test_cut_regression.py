@@ -166,11 +166,10 @@ def test_every_script_is_tested_and_listed():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("script", SCRIPTS)
-def test_a_script_prints_and_draws_the_same_again(script, tmp_path):
+def test_a_script_prints_and_draws(script, tmp_path):
     out = tmp_path / "figures"
     first = run(script, *SMALL, "--out", str(out))
     figure = out / f"{script}.png"
-    drawn = figure.read_bytes()
     height, width = imread(figure).shape[:2]
     assert min(height, width) > 500
 
@@ -185,9 +184,13 @@ def test_a_script_prints_and_draws_the_same_again(script, tmp_path):
     assert "not told apart by one sample" in sentence
     assert trajectory == f"Figure: {figure}"
 
-    if script == SCRIPTS[0]:
-        again = run(script, *SMALL, "--out", str(out))
-        assert (again, figure.read_bytes()) == (first, drawn)
+
+@pytest.mark.slow
+def test_a_script_prints_and_draws_the_same_again(tmp_path):
+    first, again = tmp_path / "first", tmp_path / "again"
+    printed = [run(SCRIPTS[0], *SMALL, "--out", str(out)).replace(str(out), "") for out in (first, again)]
+    assert printed[0] == printed[1]
+    assert len({(out / f"{SCRIPTS[0]}.png").read_bytes() for out in (first, again)}) == 1
 
 
 @pytest.mark.slow

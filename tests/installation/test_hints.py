@@ -1,7 +1,4 @@
-"""What installation runs, and the command that adds an extra to it; the wheel and the image's steps in bare ones.
-
-An image needs a builder, and its steps do not: they are commands of pip. Here they run in an environment of their own.
-"""
+"""What installation runs, and the command that adds an extra to it; the wheel in bare environments."""
 
 import json
 import subprocess

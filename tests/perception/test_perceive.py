@@ -250,12 +250,13 @@ def test_pixels_of_a_polygon_are_the_same_as_asking_each_and_none_beside_the_ima
     points = rng.uniform(-10, 70, (rng.integers(4, 30), 2))
     if err_px is not None:
         points = np.round(points) + err_px * rng.normal(size=points.shape)
-    corners = points[ConvexHull(points).vertices]
     # Nearly on pixels, they are on pixels.
-    asked = np.round(points)[ConvexHull(np.round(points)).vertices] if err_px == 1e-13 else corners
-    np.testing.assert_array_equal(convex_pixels(corners, SHAPE), np.flatnonzero(polygon2mask(SHAPE, asked[:, ::-1])))
+    asked = np.round(points) if err_px == 1e-13 else points
+    corners = asked[ConvexHull(asked).vertices]
+    expected = np.flatnonzero(polygon2mask(SHAPE, corners[:, ::-1]))
+    np.testing.assert_array_equal(convex_pixels(ConvexHull(points), SHAPE), expected)
     for beside_px in ((-200.0, 0.0), (200.0, 0.0), (0.0, -200.0), (0.0, 200.0)):
-        assert not len(convex_pixels(corners + beside_px, SHAPE))
+        assert not len(convex_pixels(ConvexHull(points + beside_px), SHAPE))
 
 
 PLACES = st.lists(st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)), min_size=0, max_size=4, unique=True).map(

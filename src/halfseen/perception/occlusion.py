@@ -21,30 +21,23 @@ ON_EDGE_PX = 1e-10
 """Pixels this close to the edge of a polygon are within."""
 
 
-def convex_pixels(corners_px: Float[np.ndarray, "v 2"], shape: tuple[int, int]) -> Int[np.ndarray, " px"]:
+def convex_pixels(hull: ConvexHull, shape: tuple[int, int]) -> Int[np.ndarray, " px"]:
     """Flat indices of the pixels within a convex polygon, in increasing order.
 
     Parameters
     ----------
-    corners_px
-        Corners in order, as (column, row); they may lie outside the image [px].
+    hull
+        Of points as (column, row); they may lie outside the image [px].
     shape
         Rows and columns of the image [px].
     """
-    num_rows, num_columns = shape
-    (x, y), (next_x, next_y) = corners_px.T, np.roll(corners_px, -1, axis=0).T
-    top, bottom = np.ceil(y.min() - ON_EDGE_PX), np.floor(y.max() + ON_EDGE_PX)
-    row = np.arange(max(top, 0), min(bottom, num_rows - 1) + 1)[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        at = x + (row - y) * ((next_x - x) / (next_y - y))
-    # A level edge begins in its row, and ends there as the next one begins.
-    at = np.where(np.abs(next_y - y) < ON_EDGE_PX, x, at).clip(np.minimum(x, next_x), np.maximum(x, next_x))
-    crosses = (np.minimum(y, next_y) - ON_EDGE_PX <= row) & (row <= np.maximum(y, next_y) + ON_EDGE_PX)
-    first = np.ceil(np.where(crosses, at, np.inf).min(axis=1) - ON_EDGE_PX).clip(0, num_columns).astype(int)
-    last = np.floor(np.where(crosses, at, -np.inf).max(axis=1) + ON_EDGE_PX).clip(-1, num_columns - 1).astype(int)
-    num = (last - first + 1).clip(0)
-    begin = row[:, 0].astype(int) * num_columns + first
-    return np.repeat(begin - np.cumsum(num) + num, num) + np.arange(num.sum())
+    ends_px = np.floor(hull.min_bound), np.ceil(hull.max_bound) + 1
+    (left, top), (right, bottom) = (np.clip(end, 0, shape[::-1]).astype(int) for end in ends_px)
+    column, row = np.arange(left, right), np.arange(top, bottom)[:, None]
+    is_within = np.ones((bottom - top, right - left), dtype=bool)
+    for across, down, offset_px in hull.equations:
+        is_within &= across * column <= ON_EDGE_PX - offset_px - down * row
+    return (row * shape[1] + column)[is_within]
 
 
 # Points with a smaller depth are not projected [m].
@@ -63,10 +56,10 @@ def covered(solid: Vessel | Hull, plane: Plane, image: RangeImage) -> Pixels:
     if len(outline_px) < 3:
         return np.empty(0, dtype=np.int64)
     try:
-        corners = outline_px[ConvexHull(outline_px).vertices]
+        hull = ConvexHull(outline_px)
     except QhullError:
         return np.empty(0, dtype=np.int64)
-    return convex_pixels(corners, image.depth_m.shape)
+    return convex_pixels(hull, image.depth_m.shape)
 
 
 def projected(points_m: Points, image: RangeImage) -> Float[np.ndarray, "m 2"]:

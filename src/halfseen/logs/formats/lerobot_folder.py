@@ -83,7 +83,7 @@ def read_lerobot(folder: str | Path, rules: StepRules | None = None, *, missing:
     episode = steps.columns[EPISODE]
     begins = begins_of(data, "frames", episode, "copy the dataset again")
     _check_counts(folder, info, episode, begins)
-    _check_order(steps, begins)
+    steps.refuse_disorder(begins)
     seen = {name: values for name, values in steps.columns.items() if name.startswith(SEEN)}
     tasks = folder / "meta" / ("tasks.jsonl" if info.version == "v2" else "tasks.parquet")
     if TASK_INDEX in steps.columns and tasks.exists():
@@ -211,19 +211,6 @@ def _check_counts(folder: Path, info: Info, episode: np.ndarray, begins: np.ndar
             f"{folder / INFO}: total_frames is {info.total_frames}, but data has {len(episode)}; copy the "
             "whole dataset again"
         )
-
-
-def _check_order(steps: StepColumns, begins: Int[np.ndarray, " E1"]) -> None:
-    """Refuse frames that are not in the order of their numbers, as after a shuffle."""
-    if FRAME in steps.columns:
-        frame = steps.columns[FRAME]
-        is_back = frame[1:] <= frame[:-1]
-        is_back[begins[1:-1] - 1] = False
-        if (row := first_true(is_back)) is not None:
-            raise LogError(
-                f"{steps.place}, episode {shown(steps.columns[EPISODE][row])}: frame {frame[row + 1]} comes after "
-                f"frame {frame[row]}; put the frames in order, or copy the whole dataset again"
-            )
 
 
 def _endings(steps: StepColumns, rules: StepRules, begins: Int[np.ndarray, " E1"]) -> list[Ending]:

@@ -102,18 +102,20 @@ class StepColumns:
 
     place: str
     columns: Mapping[str, Shaped[np.ndarray, "N ..."]]
-    counters: ClassVar[tuple[str, ...]] = ("step_id", "step_index", "frame_index", "timestep")
+    counters: ClassVar[tuple[str, ...]] = ("step_id", "step_index", "frame_index")
     """Columns that number the steps of an episode."""
 
     def refuse_disorder(self, begins: Int[np.ndarray, " E1"]) -> None:
         """Refuse an episode whose rows are not in the order of their numbers (`LogError`)."""
-        for name in (name for name in self.counters if name in self.columns):
-            number = self.columns[name]
-            is_before = np.append(False, np.diff(number) < 0) if number.dtype.kind in "iu" else np.zeros(0, dtype=bool)
-            is_before[begins[:-1][begins[:-1] < len(is_before)]] = False
-            if (row := first_true(is_before)) is not None:
-                trouble = f"{name} is {number[row]} after {number[row - 1]} in one episode"
-                raise LogError(f"{self.place}, row {row}: {trouble}; sort the rows")
+        counted = {name: self.columns[name] for name in self.counters if name in self.columns}
+        for name, number in counted.items():
+            if number.dtype.kind not in "iu":
+                continue
+            is_back = number[1:] <= number[:-1]
+            is_back[begins[1:-1] - 1] = False
+            if (row := first_true(is_back)) is not None:
+                trouble = f"{name} is {number[row + 1]} after {number[row]} in one episode"
+                raise LogError(f"{self.place}, row {row + 1}: {trouble}; put the rows in order, or export them again")
 
     def numbers(self, name: str, role: str = "clock") -> Float[np.ndarray, " N"]:
         """Rewards, flags or times, one number per step; true counts as 1, dates from the first; others are refused."""
