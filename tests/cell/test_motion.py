@@ -242,7 +242,7 @@ def test_a_standing_cup_is_taken_at_its_rim_or_around_it_and_a_lying_one_across_
     for grasp in grasps(LYING):
         assert grasp.kind == "across"
         assert abs(grasp.axes[:, 1] @ LYING.axis) < np.sin(0.31)
-        assert LYING.ends_m[0] < LYING.along_m(grasp.middle_m[None])[0] < LYING.ends_m[1]
+        assert LYING.ends_m[0] < LYING.outside_along_m(grasp.middle_m[None])[1][0] < LYING.ends_m[1]
     assert grasps(LYING, NARROW) == []
 
 

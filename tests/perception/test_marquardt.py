@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.optimize import least_squares
 
+from halfseen.arrays import percentiles
 from halfseen.perception.marquardt import Bounds, fitted, soft_l1
 from halfseen.perception.walls import LYING_BOUNDS, STANDING_BOUNDS, WALL_NOISE_M, LyingWalls, StandingWalls
 
@@ -113,3 +115,9 @@ def test_points_miss_the_wall_that_a_vessel_has_and_slopes_are_those_of_small_di
         step = np.eye(p.shape[1])[which] * 1e-6
         differences = (walls.at(p + step)[0] - walls.at(p - step)[0]) / 2e-6
         np.testing.assert_allclose(slopes[:, which], differences, rtol=1e-4, atol=1e-3)
+
+
+@given(arrays(float, array_shapes(min_dims=1, max_dims=2, max_side=9), elements=st.floats(-9, 9)), st.floats(0, 100))
+def test_percentiles_are_those_of_numpy(values, percent):
+    found = percentiles(values, percent, 100 - percent)
+    np.testing.assert_allclose(found, np.percentile(values, [percent, 100 - percent], axis=0), rtol=0, atol=1e-12)

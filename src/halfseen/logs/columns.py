@@ -5,6 +5,7 @@ An error message gives the place, the fault, the value and the remedy.
 
 import re
 from collections.abc import Callable, Collection, Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -234,16 +235,15 @@ def check_covariates(name: str, frame: pd.DataFrame, known: Collection[str], *, 
         wrong = _missing_numbers(frame[column])
         is_null = frame[column].isna().to_numpy(dtype=bool) if wrong.any() else wrong
         wrong = wrong & ~is_null if may_be_null else wrong
-
-        def trouble(row: int, column: str = column, is_null: Any = is_null) -> str:
-            what = f"covariate {column} is {shown(value_at(frame, column, row))}"
-            remedy = f"give the number that the policy saw, or leave column {column!r} of {name} out"
-            if name == "objects" or not is_null[row]:
-                return f"{what}; {remedy}"
-            return f"{what}, as in {share_of(int(is_null.sum()), len(frame))} read together; {remedy_of(column)}"
-
         columns = OBJECT_COLUMNS if name == "objects" else ("trajectory", "stage")
-        refuse(frame, wrong, trouble, columns)
+        refuse(frame, wrong, partial(_missing_in_words, name, frame, column, is_null), columns)
+
+
+def _missing_in_words(name: str, frame: pd.DataFrame, column: str, is_null: Bool[np.ndarray, " rows"], row: int) -> str:
+    what = f"covariate {column} is {shown(value_at(frame, column, row))}"
+    if name == "objects" or not is_null[row]:
+        return f"{what}; give the number that the policy saw, or leave column {column!r} of {name} out"
+    return f"{what}, as in {share_of(int(is_null.sum()), len(frame))} read together; {remedy_of(column)}"
 
 
 def _missing_numbers(values: Any) -> Bool[np.ndarray, " rows"]:

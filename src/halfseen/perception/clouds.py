@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -193,10 +194,15 @@ class Cloud:
         colours = None if picture is None else picture.reshape(-1, 3)
         return cls(points, (num_rows, num_columns), np.asarray(K, dtype=np.float64), name, colours=colours)
 
+    @cached_property
+    def is_return(self) -> RowMask:
+        """Mask of the rays that returned a point."""
+        return np.isfinite(self.points_m[:, 2])
+
     @property
     def num_returns(self) -> int:
         """Number of rays that returned a point."""
-        return int(np.isfinite(self.points_m[:, 2]).sum())
+        return int(np.count_nonzero(self.is_return))
 
 
 def is_rotation(axes: Shaped[np.ndarray, "..."], tolerance: float) -> bool:

@@ -2,12 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
-from halfseen.arrays import Points
+from halfseen.arrays import Points, Rows, percentiles
 from halfseen.perception.objects import HIGHEST_OBJECT_M, LEFT_OUT, NO_OBJECT, Labels, pixels_of
 from halfseen.perception.occlusion import covered, middle_depth_m
 from halfseen.perception.plane import Plane
@@ -30,6 +31,8 @@ WORST_VESSEL_MISFIT = 3.2
 STANDING_MISFIT = 0.35
 # A larger misfit may be that of a vessel lying on its handle, if that model halves the cost.
 HANDLE_MISFIT, HANDLE_GAIN = 1.6, 0.5
+# Of a piece, each of so many points is compared first.
+FEW = 8
 # Fewest points of a vessel.
 FEWEST_OF_VESSEL = 8
 # If a plane fits this much better than a vessel, the object is a face of a box.
@@ -189,7 +192,7 @@ def _is_vessel(vessel: Vessel, points_m: Points) -> bool:
 def _is_low(lying: Vessel, points_m: Points) -> bool:
     """Whether no point is too high for the lying vessel; a tall bottle is not one, however well its face fits."""
     widest = lying.radius_m + abs(lying.slope) * max(np.abs(lying.ends_m))
-    return bool(np.percentile(points_m[:, 2], 98) < 2 * widest + HANDLE_REACH_M)
+    return bool(percentiles(points_m[:, 2], 98)[0] < 2 * widest + HANDLE_REACH_M)
 
 
 def _spread(points_m: Points) -> Points:
@@ -262,11 +265,20 @@ def _is_near(large: _Piece, small: _Piece) -> bool:
     (low, high), (begin, end) = ((each.thin_m.min(axis=0), each.thin_m.max(axis=0)) for each in (large, small))
     if np.maximum(low - end, begin - high).max() > FARTHEST_PIECES_M:
         return False
+    # Most near pieces are found by a few points of each.
+    if cdist(large.thin_m[::FEW], small.thin_m[::FEW]).min() <= FARTHEST_PIECES_M:
+        return True
     return bool(KDTree(large.thin_m).query(small.thin_m)[0].min() <= FARTHEST_PIECES_M)
 
 
+@lru_cache(maxsize=2)
+def _outside_along_m(piece: _Piece, vessel: Vessel) -> tuple[Rows, Rows]:
+    """Where a piece is to a vessel; for a pair of pieces, each is asked for in turn."""
+    return vessel.outside_along_m(piece.thin_m)
+
+
 def _is_part(piece: _Piece, vessel: Vessel) -> bool:
-    misfit = robust_cost(vessel.outside_m(piece.thin_m))
+    misfit = robust_cost(_outside_along_m(piece, vessel)[0])
     return misfit < JOINT_MISFIT or _is_inside(piece, vessel)
 
 
@@ -274,7 +286,7 @@ def _is_near_wall(piece: _Piece, other: _Piece) -> bool:
     vessel = other.solid
     if not isinstance(vessel, Vessel):
         return False
-    return bool(np.median(np.abs(vessel.outside_m(piece.thin_m))) < SAME_WALL_M)
+    return bool(np.median(np.abs(_outside_along_m(piece, vessel)[0])) < SAME_WALL_M)
 
 
 def _is_claimed(piece: _Piece, other: _Piece) -> bool:
@@ -285,8 +297,7 @@ def _is_claimed(piece: _Piece, other: _Piece) -> bool:
 
 def _is_inside(piece: _Piece, vessel: Vessel) -> bool:
     """Whether a piece is the inner wall or an end of a vessel; solids never overlap."""
-    points = piece.thin_m
-    outside, along = vessel.outside_m(points), vessel.along_m(points)
+    outside, along = _outside_along_m(piece, vessel)
     low, high = vessel.ends_m
     is_between = (along > low - INSIDE_M) & (along < high + INSIDE_M)
     is_at_end = along < low + AT_WALL_M
@@ -301,15 +312,15 @@ def _is_handle(small: _Piece, large: _Piece) -> bool:
     vessel = large.solid
     if not isinstance(vessel, Vessel) or len(small.points_m) > HANDLE_SHARE * len(large.points_m):
         return False
-    points = small.thin_m
-    outside, along = vessel.outside_m(points), vessel.along_m(points)
+    outside, along = _outside_along_m(small, vessel)
     low, high = vessel.ends_m
-    starts = np.percentile(np.abs(outside), 5) < HANDLE_START_M
-    is_near = outside.max() < HANDLE_REACH_M and along.min() > low + INSIDE_M and along.max() < high + INSIDE_M
-    across = points - vessel.centre_m - along[:, None] * vessel.axis
+    if outside.max() >= HANDLE_REACH_M or along.min() <= low + INSIDE_M or along.max() >= high + INSIDE_M:
+        return False
+    across = small.thin_m - vessel.centre_m - along[:, None] * vessel.axis
     way = across.mean(axis=0)
     aside = across @ np.cross(vessel.axis, way / max(float(np.linalg.norm(way)), 1e-9))
-    return bool(starts and is_near and np.ptp(np.percentile(aside, [5, 95])) < HANDLE_WIDTH_M)
+    begin, end = percentiles(aside, 5, 95)
+    return bool(percentiles(np.abs(outside), 5)[0] < HANDLE_START_M and end - begin < HANDLE_WIDTH_M)
 
 
 def _contradiction(vessel: Vessel, own: PixelMask, sheets: Labels, plane: Plane, image: RangeImage) -> float:
@@ -326,7 +337,7 @@ def _contradiction(vessel: Vessel, own: PixelMask, sheets: Labels, plane: Plane,
 def _is_object(pixels: Pixels, piece: _Piece, image: RangeImage) -> bool:
     K = image.intrinsics
     area = float(np.sum(image.depth_m.ravel()[pixels] ** 2) / (K[0, 0] * K[1, 1]))
-    return area > SMALLEST_OBJECT_M2 and float(np.percentile(piece.points_m[:, 2], 98)) > LOWEST_TOP_M
+    return area > SMALLEST_OBJECT_M2 and bool(percentiles(piece.points_m[:, 2], 98)[0] > LOWEST_TOP_M)
 
 
 def _is_cut(pixels: Pixels, shape: tuple[int, int]) -> bool:

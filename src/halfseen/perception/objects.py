@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 from skimage.measure import label as measure_label
 
-from halfseen.arrays import Image, Rows
+from halfseen.arrays import Image, Rows, percentiles
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Vector
 from halfseen.perception.plane import Plane, is_on_plane
@@ -75,13 +75,13 @@ def sheets_on_table(image: RangeImage, plane: Plane) -> Labels:
     hull = _table_outline(image, plane, on_table)
     if hull is None:
         return sheets
-    is_sheet = sheets >= 0
-    across, sheet = plane.across_m(image.points_m[is_sheet]), sheets[is_sheet]
+    pixels = np.flatnonzero(sheets >= 0)
+    across, sheet = plane.across_m(image.points_m.reshape(-1, 3)[pixels]), sheets.ravel()[pixels]
     right, away, is_inside = *np.ascontiguousarray(across.T), np.ones(len(across), dtype=bool)
     for a, b, c in hull:
         is_inside &= a * right + b * away + c < OVERHANG_M
     count, num_inside = np.bincount(sheet), np.bincount(sheet[is_inside], minlength=int(sheets.max()) + 1)
-    is_at_limit = height_m[is_sheet] > HIGHEST_OBJECT_M - LIMIT_REACH_M
+    is_at_limit = height_m.ravel()[pixels] > HIGHEST_OBJECT_M - LIMIT_REACH_M
     num_at_limit = np.bincount(sheet[is_at_limit], minlength=len(count))
     is_kept = (num_inside >= SMALLEST_SHARE_ON_TABLE * count) & (num_at_limit < FEWEST_COARSE_PX)
     is_kept &= ~_is_floating(pixels_of(sheets), height_m, plane, image)
@@ -100,7 +100,9 @@ def pixels_of(labels: Labels) -> list[Pixels]:
         Label of each pixel; negative where there is none.
     """
     pixels = np.flatnonzero(labels >= 0)
+    # Numbers of 16 bits are sorted by their digits, in a tenth of the time.
     label = labels.ravel()[pixels]
+    label = label.astype(np.min_scalar_type(int(label.max(initial=0))))
     order = np.argsort(label, kind="stable")
     return np.split(pixels[order], np.cumsum(np.bincount(label))[:-1]) if len(pixels) else []
 
@@ -162,10 +164,10 @@ def _off_trays(sheets: Labels, height_m: Image, plane: Plane, image: RangeImage)
     apart = sheets.copy()
     for pixels in pixels_of(sheets):
         heights, cells = height_m.ravel()[pixels], plane.across_m(image.points_m.reshape(-1, 3)[pixels])
+        if np.prod(np.ptp(cells, axis=0) + 2 * TABLE_CELL_M) < TRAY_M2:
+            continue
         cells = np.floor(cells / TABLE_CELL_M).astype(np.int64) @ [1, 1 << 20]
         tops_m = np.arange(LOWEST_OBJECT_M, HIGHEST_TRAY_M, TRAY_BAND_M / 2)
-        if len(np.unique(cells)) * TABLE_CELL_M**2 < TRAY_M2:
-            continue
         num_cells = [len(np.unique(cells[np.abs(heights - top_m) < TRAY_BAND_M])) for top_m in tops_m]
         if max(num_cells) * TABLE_CELL_M**2 >= TRAY_M2:
             on_top = _continuous(image, pixels[heights > tops_m[int(np.argmax(num_cells))] + TRAY_BAND_M])
@@ -238,7 +240,7 @@ def _is_floating(of_sheet: list[Pixels], height_m: Image, plane: Plane, image: R
     plane, image
         The table and the range image.
     """
-    begin_m = np.array([np.percentile(height_m.ravel()[pixels], LOWEST_PERCENT) for pixels in of_sheet])
+    begin_m = np.array([percentiles(height_m.ravel()[pixels], LOWEST_PERCENT)[0] for pixels in of_sheet])
     is_floating = begin_m > HIGHEST_BEGIN_M
     asked = np.flatnonzero((begin_m > LOWEST_FLOATING_M) & ~is_floating)
     below = {k: _below(of_sheet[k], plane, image) for k in asked.tolist()}

@@ -34,10 +34,13 @@ def convex_pixels(hull: ConvexHull, shape: tuple[int, int]) -> Int[np.ndarray, "
     ends_px = np.floor(hull.min_bound), np.ceil(hull.max_bound) + 1
     (left, top), (right, bottom) = (np.clip(end, 0, shape[::-1]).astype(int) for end in ends_px)
     column, row = np.arange(left, right), np.arange(top, bottom)[:, None]
-    is_within = np.ones((bottom - top, right - left), dtype=bool)
-    for across, down, offset_px in hull.equations:
-        is_within &= across * column <= ON_EDGE_PX - offset_px - down * row
-    return (row * shape[1] + column)[is_within]
+    # Each edge bounds each row on one side; a level one, divided by +0, bounds all of it or nothing.
+    across, down, offset_px = hull.equations.T + 0.0
+    with np.errstate(divide="ignore"):
+        bound = (ON_EDGE_PX - offset_px - down * row) / across
+    first = bound.max(axis=1, where=across < 0, initial=-np.inf, keepdims=True)
+    last = bound.min(axis=1, where=across >= 0, initial=np.inf, keepdims=True)
+    return (row * shape[1] + column)[(first <= column) & (column <= last)]
 
 
 # Points with a smaller depth are not projected [m].

@@ -25,6 +25,8 @@ INLIER_SIGMAS = 2.0
 SMALLEST_TOLERANCE_M = 0.005
 # Points farther below a plane are not its noise [standard deviations]; half of a normal error is less than the last.
 MOST_NOISE_SIGMAS, NORMAL_MEDIAN = 8.0, 0.6745
+# Pixels, on a grid, of which the median tells the noise.
+NUM_PIXELS_ASKED = 20_000
 # Planes are removed one by one until one has less than this share of the returns.
 SMALLEST_PLANE_SHARE = 0.04
 MOST_PLANES = 6
@@ -275,9 +277,11 @@ def noise_factor(plane: Plane, image: RangeImage) -> float:
     plane, image
         The table and the range image.
     """
+    step = max(1, int(np.sqrt(image.depth_m.size / NUM_PIXELS_ASKED)))
+    points_m = image.points_m[::step, ::step]
     with np.errstate(invalid="ignore"):
-        error_m = plane.height_m(image.points_m) * image.depth_m / abs(plane.offset_m)
-        below = -(error_m / image.noise_m)
+        error_m = plane.height_m(points_m) * points_m[..., 2] / abs(plane.offset_m)
+        below = -(error_m / image.noise_m[::step, ::step])
         below = below[(below > 0) & (below < MOST_NOISE_SIGMAS)]
     return float(np.median(below) / NORMAL_MEDIAN) if len(below) else 1.0
 

@@ -125,10 +125,9 @@ def _organised(cloud: Cloud, sensor: DepthSensor, points: Points) -> RangeImage 
     """Image on the cloud's own grid; None if that is not of a pinhole camera (a wide lens), or is full of holes."""
     assert cloud.shape is not None
     pinhole = _pinhole(cloud, points)
-    is_return = np.isfinite(points[:, 2])
-    if not (pinhole.is_camera and _is_filled(is_return.reshape(cloud.shape), FEWEST_NEIGHBOURS)):
+    if not (pinhole.is_camera and _is_filled(cloud.is_return.reshape(cloud.shape), FEWEST_NEIGHBOURS)):
         return None
-    pixel_of_point = np.where(is_return, np.arange(len(points)), -1)
+    pixel_of_point = np.where(cloud.is_return, np.arange(len(points)), -1)
     image = _turned(points, pinhole.axes).reshape(*cloud.shape, 3)
     axes = cloud.camera_axes @ pinhole.axes
     return RangeImage(image, pinhole.intrinsics, pixel_of_point, axes, False, cloud.name, sensor)

@@ -56,14 +56,14 @@ class Vessel:
         """Return the ends of the axis [m]."""
         return np.stack([self.centre_m + end * self.axis for end in self.ends_m])
 
-    def along_m(self, points_m: Points) -> Rows:
-        """Position of points along the axis [m]."""
-        return (points_m - self.centre_m) @ self.axis
-
     def outside_m(self, points_m: Points) -> Rows:
         """Distance of points from the wall, perpendicular to the axis [m]; negative inside."""
-        across, along = around(points_m, self.centre_m[None], self.axis[None])
-        return (across - np.maximum(self.radius_m + self.slope * along, 0.0))[0]
+        return self.outside_along_m(points_m)[0]
+
+    def outside_along_m(self, points_m: Points) -> tuple[Rows, Rows]:
+        """Distance of points from the wall, and their position along the axis [m]."""
+        across, along = (each[0] for each in around(points_m, self.centre_m[None], self.axis[None]))
+        return across - np.maximum(self.radius_m + self.slope * along, 0.0), along
 
     def outline_m(self) -> Points:
         """Points of the two end circles [m]; their hull is the vessel."""

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from halfseen.arrays import Points, RowMask, Rows
+from halfseen.arrays import Points, RowMask, Rows, percentiles
 from halfseen.perception.clouds import Vector
 from halfseen.perception.marquardt import Bounds, Free, Frees, fitted, soft_l1
 from halfseen.perception.solids import Vessel, around
@@ -83,7 +83,7 @@ def lying_vessels(sets: Sets, num_on_handle: int = 0) -> list[Vessel]:
     if not sets:
         return []
     thin = [each for each in map(thinned, sets) for _ in range(NUM_FOLLOWED)]
-    middles = [np.median(points, axis=0) for points in thin[::NUM_FOLLOWED] for _ in range(NUM_FOLLOWED)]
+    middles = [middle for points in thin[::NUM_FOLLOWED] for middle in [np.median(points, axis=0)] * NUM_FOLLOWED]
     rests = np.repeat([WALL_REST, HANDLE_REST], NUM_FOLLOWED * np.array([len(sets) - num_on_handle, num_on_handle]), 0)
     walls = LyingWalls.of(thin, middles, *rests.T)
     starts = [_lying_starts(*each) for each in zip(thin[::NUM_FOLLOWED], middles[::NUM_FOLLOWED], strict=True)]
@@ -170,9 +170,9 @@ def _circle(across_m: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "2"],
 
 
 def _ends(vessel: Vessel, points_m: Points) -> tuple[float, float]:
-    along = vessel.along_m(points_m)
-    is_inlier = np.abs(vessel.outside_m(points_m)) < INLIER_M
-    low, high = np.percentile(along[is_inlier] if is_inlier.sum() > 10 else along, [END_PERCENT, 100 - END_PERCENT])
+    outside, along = vessel.outside_along_m(points_m)
+    is_inlier = np.abs(outside) < INLIER_M
+    low, high = percentiles(along[is_inlier] if is_inlier.sum() > 10 else along, END_PERCENT, 100 - END_PERCENT)
     return float(low), float(high)
 
 
@@ -285,9 +285,9 @@ def _fitted(sets: Sets) -> list[Vessel]:
 
 
 def _distance_m(vessel: Vessel, points_m: Points) -> Rows:
-    along = vessel.along_m(points_m)
+    outside, along = vessel.outside_along_m(points_m)
     low, high = vessel.ends_m
-    return np.abs(vessel.outside_m(points_m)) + np.maximum(0.0, np.maximum(along - high, low - along))
+    return np.abs(outside) + np.maximum(0.0, np.maximum(along - high, low - along))
 
 
 def _are_two(one: Vessel, other: Vessel) -> bool:

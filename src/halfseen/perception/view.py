@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import QhullError
 
-from halfseen.arrays import Hides, Points, Transform
+from halfseen.arrays import Hides, Points, Transform, percentiles
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import XTION, Cloud, DepthSensor, NoisierSensor, Vector
 from halfseen.perception.grouping import objects_of_sheets
@@ -164,11 +164,11 @@ def _perceived(cloud: Cloud, sensor: DepthSensor) -> View:
         for i, solid in enumerate(solids)
     )
     found = occlusions(labels, solids, plane, image)
-    num_points = np.bincount(image.pixel_of_point[image.pixel_of_point >= 0], minlength=image.depth_m.size)
+    num_points = np.bincount(image.pixel_of_point + 1, minlength=image.depth_m.size + 1)[1:]
 
     def seen(i: int, solid: Vessel | Hull, pixels: Pixels) -> SeenObject:
         points = plane.table_points(image.points_m.reshape(-1, 3)[pixels])
-        low, high = np.percentile(points, [EXTENT_PERCENT, 100 - EXTENT_PERCENT], axis=0)
+        low, high = percentiles(points, EXTENT_PERCENT, 100 - EXTENT_PERCENT)
         middle = plane.camera_points(solid.middle_m[None])[0]
         return SeenObject(
             id=i,

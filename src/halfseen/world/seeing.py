@@ -16,6 +16,7 @@ and likewise with fp for a clean object. So labels are consistent without a late
 new finds nothing. Once a stain was found, no further look is informative.
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -269,14 +270,8 @@ class PersistentSeeing:
     def positive(self, occluded: Any, seen: Any, is_held: Any = False) -> tuple[Any, Any]:
         """P(a look says DIRTY) for a dirty object, and for a clean one; 0 if it shows nothing new."""
         shown = self.in_view(occluded, is_held)
-        xp, before, now = library_of(shown, seen), self._found_by(seen), self._found_by(shown)
-        is_new = shown > seen + SAME_VIEW
-
-        def found_now(was: Any, then: Any) -> Any:
-            found = (then - was) / xp.maximum(1.0 - was, LEAST_DOUBT)
-            return xp.where(is_new, xp.clip(found, LEAST_DOUBT, 1.0 - LEAST_DOUBT), 0.0)
-
-        return found_now(before[0], now[0]), found_now(before[1], now[1])
+        before, now, is_new = self._found_by(seen), self._found_by(shown), shown > seen + SAME_VIEW
+        return _found_now(is_new, before[0], now[0]), _found_now(is_new, before[1], now[1])
 
     def after(self, occluded: Any, seen: Any, says_dirty: Any, is_held: Any = False) -> Any:
         """Share of the surface that has been in view; 1 once a stain was found."""
@@ -292,13 +287,19 @@ class PersistentSeeing:
         """Both curves at a share of the surface; each linear piece adds its rise as far as the share covers it."""
         clip, knots = library_of(share).clip, (0.0, *self.views)
         covered = [clip((share - begin) / (end - begin), 0.0, 1.0) for begin, end in pairwise(knots)]
+        return _height(self.sensitivity, covered), _height(self.false_alarms, covered)
 
-        def height(curve: tuple[Number, ...]) -> Any:
-            heights = (0.0, *curve)
-            rises = zip(heights[:-1], heights[1:], covered, strict=True)
-            return sum((high - low) * each for low, high, each in rises)
 
-        return height(self.sensitivity), height(self.false_alarms)
+def _height(curve: tuple[Number, ...], covered: Sequence[Any]) -> Any:
+    rises = zip((0.0, *curve), curve, covered, strict=False)
+    return sum((high - low) * each for low, high, each in rises)
+
+
+def _found_now(is_new: Any, was: Any, then: Any) -> Any:
+    """Probability that a look finds what the looks before did not."""
+    xp = library_of(is_new, was, then)
+    found = (then - was) / xp.maximum(1.0 - was, LEAST_DOUBT)
+    return xp.where(is_new, xp.clip(found, LEAST_DOUBT, 1.0 - LEAST_DOUBT), 0.0)
 
 
 def _check_curve(name: str, values: tuple[Number, ...], length: int, is_rising: bool) -> None:
