@@ -88,6 +88,7 @@ def test_a_file_that_is_too_large_is_refused_unless_that_is_meant(tmp_path, monk
         (str(2**64), "not a 64-bit whole number"),
         ("{", "Expecting"),
         (b"\xff\xfe\x00", "decode"),
+        ('{"a": ["\\ud83d"]}', r"'\\ud83d' is half of a character"),
         ('{"a": {"b": 1, "c": 2, "b": 1}}', "'b' is given twice in an object"),
     ],
 )

@@ -96,12 +96,18 @@ def within(source: object) -> Iterator[None]:
 
 @contextmanager
 def noted() -> Iterator[list[str]]:
-    """Collect the warnings for users instead of showing them; the list is complete at the end of the block."""
+    """Collect the warnings for users; they are complete at the end of the block, and shown only if it raises."""
     notes: list[str] = []
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", HalfseenWarning)
-        yield notes
-    notes += [str(one.message) for one in caught if issubclass(one.category, HalfseenWarning)]
+    is_over = False
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", HalfseenWarning)
+            yield notes
+            is_over = True
+    finally:
+        notes += [str(one.message) for one in caught if issubclass(one.category, HalfseenWarning)]
+        for note in () if is_over else notes:
+            warnings.warn(note, HalfseenWarning, stacklevel=2)
 
 
 def closest(given: object, known: Iterable[object]) -> str | None:

@@ -126,7 +126,16 @@ def json_of(text: str | bytes, *, any_number: bool = False) -> Any:
     numbers: Any = {"parse_int": _of_digits} if any_number else strict
     read = _parsed(lambda: json.loads(text, object_pairs_hook=named_once, **numbers))
     check_levels(read)
+    if "\\u" in text if isinstance(text, str) else b"\\u" in text:
+        _refuse_half_characters(read)
     return read
+
+
+def _refuse_half_characters(read: Any) -> None:
+    try:
+        json.dumps(read, ensure_ascii=False).encode()
+    except UnicodeEncodeError as error:
+        raise ValueError(f"{error.object[error.start]!a} is half of a character, without its other half") from None
 
 
 def named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -39,7 +39,7 @@ LIAR = Fixed(lambda u, _: np.full(len(u), 1.5))
 BY_COVARIATE = Fixed(lambda u, covariates: covariates[:, 0])
 
 
-@given(tied_ends(), st.lists(st.floats(0.1, 8.0), max_size=5), st.floats(1.0, 5.0))
+@given(tied_ends(), st.lists(st.integers(1, 80).map(lambda tick: tick / 10), max_size=5), st.floats(1.0, 5.0))
 def test_curve_and_weights_equal_the_double_loops_on_tied_ends(ends, others, bound):
     time, is_finished = ends
     u = np.concatenate([time, others])

@@ -14,6 +14,7 @@ import shell
 from bags import SMALL, WITHOUT_CLOUD, cloud, one_trajectory, tables_of, text, two_trajectories, write_bag
 from event_files import GERMAN, HISTORIAN, PLC, write_events
 from foreign import arrays, episodes, rows_of, write_arrays, write_lerobot, write_rows
+from halfseen.errors import HalfseenWarning, LogError, noted, warn
 from halfseen.logs import Logs, read_logs
 from halfseen.logs.formats import read_csv
 from halfseen.perception import read_cloud
@@ -187,6 +188,16 @@ def test_warnings_of_readers_stand_in_the_answer_too(sources):
     (warning,) = json.loads(done.stdout)["warnings"]
     assert "every step counts as 1 s" in warning
     assert warning in done.stderr
+
+
+def test_what_was_warned_of_before_a_refusal_is_told():
+    @noted()
+    def read():
+        warn("a.csv", "read as text")
+        raise LogError("a.csv: refused")
+
+    with pytest.warns(HalfseenWarning, match=r"a\.csv: read as text"), pytest.raises(LogError):
+        read()
 
 
 def test_a_database_takes_its_queries_from_options_or_a_file(sources, logs):

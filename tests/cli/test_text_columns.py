@@ -224,3 +224,12 @@ def test_convert_keeps_null_and_says_so(logs, tmp_path):
 def test_a_rule_that_is_none_is_refused(rule, told, logs, tmp_path):
     with refused(told):
         shell.run("learn", logs, "--out", tmp_path / "p", "--missing", rule)
+
+
+def test_evaluate_refuses_text_where_the_policy_was_learned_from_numbers(folder, tmp_path):
+    log = stamped(1)
+    Logs(log.stages.assign(x=[f"bin {row}" for row in range(len(log.stages))]), log.trajectories).write(
+        tmp_path / "logs"
+    )
+    told = refusal(LogError, "evaluate", folder / "policy", "--logs", tmp_path / "logs")
+    assert "covariate 'x' is text here, ['bin 0'], and numbers in the training log; give numbers" in told

@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 
 from halfseen.censoring import CENSORING_NAMES
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, LogError
 from halfseen.evaluation.targets import CrossFitted, horizon_of, refuse_other_names
-from halfseen.learning.covariates import Covariates, fit_covariates
+from halfseen.learning.covariates import Covariates, fit_covariates, is_numeric
 from halfseen.learning.discrete_policy import NamedActionPolicy
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_model import QModel
@@ -79,7 +79,14 @@ def task_of(policy: Any, logs: Logs) -> Task:
             actions[stage] = list(dict.fromkeys([*names, *sorted(logged, key=str)]))
         covariates = getattr(policy, "covariates", None)
         covariates = fit_covariates(logs) if covariates is None else covariates
-        task = NamedActions(actions, covariates, getattr(policy, "categories", {}))
+        categories = getattr(policy, "categories", {})
+        for name in (name for name in covariates if name in stages and name not in categories):
+            if hasattr(policy, "categories") and not is_numeric(stages, name):
+                text = stages[name].dropna().iloc[:1].tolist()
+                raise LogError(
+                    f"covariate {name!r} is text here, {text}, and numbers in the training log; give numbers"
+                )
+        task = NamedActions(actions, covariates, categories)
         return task.fitted(logs, policy.horizon)
     if logs.objects is None:
         raise ArgumentError(

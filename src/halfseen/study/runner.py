@@ -147,7 +147,7 @@ def run_all(runs: Sequence[Run], setting: Setting, workers: Workers) -> list[Tab
 
     Times are measured while nothing else runs: at the end, when the timed code has been compiled.
     """
-    # Experiments with few repetitions, which are long, come first, so that all workers end together.
+    # Of what begins together, experiments with few repetitions, which are long, come first.
     in_order = sorted(runs, key=lambda run: run.num)
     with Progress(len(runs) * (1 + TABULATING), "study, prepare") as bar:
         with workers.ready() as pool:
@@ -156,7 +156,7 @@ def run_all(runs: Sequence[Run], setting: Setting, workers: Workers) -> list[Tab
                 left[number].store.keep(PREPARED, piece)
             missing = [[k for k in range(run.num) if not run.store.has(repetition(k))] for run in in_order]
             bar.begin("study", sum(1.0 - len(those) / run.num for run, those in zip(in_order, missing, strict=True)))
-            todo = [(k, some) for k, those in enumerate(missing) for some in in_rows(those, pool.num_workers)]
+            todo = side_by_side([in_rows(those, pool.num_workers) for those in missing])
             ready = [(run.experiment, run.store.read(PREPARED)) for run in in_order]
             for number, pieces in pool.each(partial(_repeated, setting, ready), todo):
                 k, some = todo[number]
@@ -183,6 +183,12 @@ def in_rows(indices: Sequence[int], num_workers: int) -> list[Sequence[int]]:
     """Divide repetitions into batches for one worker each: larger ones if there are many, so that all end together."""
     length = max(1, min(MOST_AT_ONCE, len(indices) // (8 * num_workers)))
     return [indices[begin : begin + length] for begin in range(0, len(indices), length)]
+
+
+def side_by_side(rows: Sequence[Sequence[Sequence[int]]]) -> list[tuple[int, Sequence[int]]]:
+    """Order the batches so that all experiments are equally far at any time: the speed so far is that of the rest."""
+    placed = [(j / len(each), k, some) for k, each in enumerate(rows) for j, some in enumerate(each)]
+    return [(k, some) for _, k, some in sorted(placed)]
 
 
 def chosen(names: Sequence[str], experiments: Sequence[Experiment] = EXPERIMENTS) -> tuple[Experiment, ...]:
