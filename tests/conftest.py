@@ -19,6 +19,11 @@ LONG = ("benchmarks", "cell", "docs", "examples", "learning", "planners", "study
 """Folders whose files take long: they start first, so that no process is left with one of them at the end."""
 
 
+def pytest_xdist_auto_num_workers(config):
+    """Slow tests wait for servers, for pages and for what was killed: two for each core."""
+    return 2 * (os.cpu_count() or 1) if config.option.markexpr == "slow" else None
+
+
 def pytest_collection_modifyitems(items):
     """Order the files: the one with the small study, which takes longest, comes first."""
     items.sort(key=lambda item: (not _asks_for_study(item), not set(LONG) & set(item.path.parts)))
