@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 from halfseen import reading
-from halfseen.reading import check_unpacked, json_of, opened_text, read_arrays, read_bytes, read_text, toml_of
+from halfseen.reading import (
+    check_unpacked,
+    json_of,
+    opened_text,
+    read_arrays,
+    read_bytes,
+    read_text,
+    toml_of,
+    whole_text,
+)
 
 
 def test_a_file_and_what_a_link_leads_to_are_read(tmp_path):
@@ -88,13 +97,18 @@ def test_a_file_that_is_too_large_is_refused_unless_that_is_meant(tmp_path, monk
         (str(2**64), "not a 64-bit whole number"),
         ("{", "Expecting"),
         (b"\xff\xfe\x00", "decode"),
-        ('{"a": ["\\ud83d"]}', r"'\\ud83d' is half of a character"),
         ('{"a": {"b": 1, "c": 2, "b": 1}}', "'b' is given twice in an object"),
     ],
 )
 def test_json_that_would_do_harm_is_refused(text, told):
     with pytest.raises(ValueError, match=told):
         json_of(text)
+
+
+def test_half_a_character_is_no_text():
+    assert whole_text(json_of('{"a": ["\\ud83d\\ude00"]}')) == {"a": ["\U0001f600"]}
+    with pytest.raises(ValueError, match=r"'\\ud83d' is half of a character"):
+        whole_text(json_of('{"a": ["\\ud83d"]}'))
 
 
 def test_other_json_is_read_as_ever():

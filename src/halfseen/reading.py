@@ -126,16 +126,22 @@ def json_of(text: str | bytes, *, any_number: bool = False) -> Any:
     numbers: Any = {"parse_int": _of_digits} if any_number else strict
     read = _parsed(lambda: json.loads(text, object_pairs_hook=named_once, **numbers))
     check_levels(read)
-    if "\\u" in text if isinstance(text, str) else b"\\u" in text:
-        _refuse_half_characters(read)
     return read
 
 
-def _refuse_half_characters(read: Any) -> None:
+def whole_text(read: Any) -> Any:
+    r"""Return what JSON says, if its text can be stored; ``\ud800`` is half of a character.
+
+    Raises
+    ------
+    ValueError
+        A text cannot be stored.
+    """
     try:
         json.dumps(read, ensure_ascii=False).encode()
     except UnicodeEncodeError as error:
         raise ValueError(f"{error.object[error.start]!a} is half of a character, without its other half") from None
+    return read
 
 
 def named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -64,7 +64,7 @@ def test_rewards_tell_what_was_dirty(belief):
 
 @pytest.mark.slow
 def test_what_is_said_of_half_seen_cups_is_found_on_fresh_tables(belief):
-    rows = pd.concat([fresh(index, 40, 10, 1, belief) for index in range(4)], ignore_index=True)
+    rows = pd.concat([fresh(index, 40, 10, 1, belief) for index in range(3)], ignore_index=True)
     found = groups(rows)
     print(pd.DataFrame(found).T.round(3))
     assert found["half-seen"]["labels"] > 100
@@ -142,7 +142,7 @@ def test_what_is_done_is_not_done_again():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("world", [Cell(), Trial(), Haze(), Wide()], ids=["cell", "trial", "haze", "wide"])
+@pytest.mark.parametrize("world", [Cell(), Trial(), Wide()], ids=["cell", "trial", "wide"])
 def test_null_policies_are_worth_what_the_logging_policy_is(world):
     own, judged = world.value(world.logging), policies_of(world)
     for name in ("null, near", "null, far", "null, split"):
@@ -201,9 +201,7 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
         ("serve.py", "--seconds", "3"),
         ("running_cell.py", "--seconds", "3", "--kills", "1"),
         ("opcua.py", "--stages", "3"),
-        ("closed_loop.py", "--tables", "1", "--only", "greedy"),
         ("half_seen.py", "--tables", "1", "--washes", "1", "--stains", "2"),
-        ("two_arms.py", "--tables", "1", "--rule", "greedy", "--only", "one arm", "two arms"),
         ("team_regret.py", "--horizon", "1", "--futures", "4"),
         ("teams.py", "--robots", "2", "--price", "-0.05", "--trajectories", "60", "--logs", "1", "--episodes", "50"),
         ("recorder.py", "--trajectories", "3"),
@@ -211,7 +209,6 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
         ("control_variate.py", "--blocks", "1"),
         ("against_planner.py", "--sizes", "25", "--logs", "1"),
         ("lies.py", "--logs", "1", "--trajectories", "60"),
-        ("wrong_laws.py", "--cases", "news", "stick", "--sizes", "30", "--logs", "1"),
         ("many_actions.py", "--sizes", "50", "--logs", "1", "--loggers", "half tried"),
         ("relearning.py", "--logs", "2", "--unchanged", "2", "--only", "none", "--after", "100"),
         (
