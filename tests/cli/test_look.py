@@ -258,7 +258,7 @@ def test_a_running_cell_is_recorded_and_its_logs_are_the_same(typed, refused, tm
 
 @pytest.mark.slow
 def test_two_arms_are_recorded_and_both_are_shown(typed, tmp_path):
-    words = ["cell", "run", "--policy", "history-penalty", "--arms", 2, "--tables", 1, "--seed", 7, "--no-stops"]
+    words = ["cell", "run", "--policy", "history-penalty", "--arms", 2, "--tables", 2, "--seed", 7, "--no-stops"]
     done = typed(*words, "--out", tmp_path / "logs", "--record", tmp_path / "record")
     assert done.status == 0
     assert "0 collisions" in done.out
