@@ -64,7 +64,7 @@ def test_rewards_tell_what_was_dirty(belief):
 
 @pytest.mark.slow
 def test_what_is_said_of_half_seen_cups_is_found_on_fresh_tables(belief):
-    rows = pd.concat([fresh(index, 40, 10, 1, belief) for index in range(3)], ignore_index=True)
+    rows = pd.concat([fresh(index, 40, 10, 1, belief) for index in range(4)], ignore_index=True)
     found = groups(rows)
     print(pd.DataFrame(found).T.round(3))
     assert found["half-seen"]["labels"] > 100
