@@ -14,7 +14,7 @@ from halfseen.learning import CensoredQLearner
 from halfseen.study.compare import adjusted, better, holm, over_repetitions
 from halfseen.study.pipeline import TREATMENTS, Source, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, horizon_planner
-from halfseen.study.runner import MOST_AT_ONCE, in_rows
+from halfseen.study.runner import MOST_AT_ONCE, in_rows, side_by_side
 from halfseen.world import Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.cuts import CutEpisodes
 from halfseen.world.logs import to_logs
@@ -115,6 +115,11 @@ def test_rows_of_repetitions_hold_each_of_them_once_and_are_enough_for_all_worke
     assert [index for row in rows for index in row] == list(range(num))
     assert all(1 <= len(row) <= MOST_AT_ONCE for row in rows)
     assert len(rows) >= min(num, 8 * num_workers)
+
+
+def test_experiments_go_on_side_by_side_and_none_is_left_out():
+    todo = side_by_side([[[0], [1]], [[0, 1], [2, 3], [4, 5], [6]], []])
+    assert todo == [(0, [0]), (1, [0, 1]), (1, [2, 3]), (0, [1]), (1, [4, 5]), (1, [6])]
 
 
 @pytest.mark.slow

@@ -80,12 +80,14 @@ def task_of(policy: Any, logs: Logs) -> Task:
         covariates = getattr(policy, "covariates", None)
         covariates = fit_covariates(logs) if covariates is None else covariates
         categories = getattr(policy, "categories", {})
-        for name in (name for name in covariates if name in stages and name not in categories):
-            if hasattr(policy, "categories") and not is_numeric(stages, name):
-                text = stages[name].dropna().iloc[:1].tolist()
-                raise LogError(
-                    f"covariate {name!r} is text here, {text}, and numbers in the training log; give numbers"
-                )
+        known_as_numbers = (
+            [name for name in covariates if name not in categories] if hasattr(policy, "categories") else []
+        )
+        for name in known_as_numbers:
+            if name in stages and not is_numeric(stages, name):
+                for text in stages[name].dropna().iloc[:1]:
+                    such = f"such as {text!r}, and numbers in the training log"
+                    raise LogError(f"covariate {name!r} is text here, {such}; give numbers")
         task = NamedActions(actions, covariates, categories)
         return task.fitted(logs, policy.horizon)
     if logs.objects is None:
