@@ -201,7 +201,9 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
         ("serve.py", "--seconds", "3"),
         ("running_cell.py", "--seconds", "3", "--kills", "1"),
         ("opcua.py", "--stages", "3"),
+        ("closed_loop.py", "--tables", "1", "--only", "greedy"),
         ("half_seen.py", "--tables", "1", "--washes", "1", "--stains", "2"),
+        ("two_arms.py", "--tables", "1", "--rule", "greedy", "--only", "one arm", "two arms"),
         ("team_regret.py", "--horizon", "1", "--futures", "4"),
         ("teams.py", "--robots", "2", "--price", "-0.05", "--trajectories", "60", "--logs", "1", "--episodes", "50"),
         ("recorder.py", "--trajectories", "3"),
@@ -209,6 +211,7 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
         ("control_variate.py", "--blocks", "1"),
         ("against_planner.py", "--sizes", "25", "--logs", "1"),
         ("lies.py", "--logs", "1", "--trajectories", "60"),
+        ("wrong_laws.py", "--cases", "news", "--sizes", "30", "--logs", "1"),
         ("many_actions.py", "--sizes", "50", "--logs", "1", "--loggers", "half tried"),
         ("relearning.py", "--logs", "2", "--unchanged", "2", "--only", "none", "--after", "100"),
         (
