@@ -232,4 +232,4 @@ def test_evaluate_refuses_text_where_the_policy_was_learned_from_numbers(folder,
         tmp_path / "logs"
     )
     told = refusal(LogError, "evaluate", folder / "policy", "--logs", tmp_path / "logs")
-    assert "covariate 'x' is text here, such as 'bin 0', and numbers in the training log; give numbers" in told
+    assert "stage 1: covariate 'x' is not numeric, but 'bin 0'; give numbers" in told

@@ -237,6 +237,6 @@ def test_states_with_two_columns_of_a_name_or_complex_numbers_are_refused():
     looks_at, states = Covariates(("x",)), pd.DataFrame([[0.5, 1.0, 2.0]], columns=["x", "x", "y"])
     with refusals.refused("there are two columns 'x'; drop or rename one"):
         looks_at.encode(states)
-    with refusals.refused("covariate 'x' is not numeric"):
+    with refusals.refused("covariate 'x' is not numeric, but \\(1\\+2j\\)"):
         looks_at.encode(pd.DataFrame({"x": [1.0 + 2.0j]}))
     np.testing.assert_array_equal(Covariates(("y",)).encode(states), [[2.0]])

@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 
 from halfseen.censoring import CENSORING_NAMES
-from halfseen.errors import ArgumentError, LogError
+from halfseen.errors import ArgumentError
 from halfseen.evaluation.targets import CrossFitted, horizon_of, refuse_other_names
-from halfseen.learning.covariates import Covariates, fit_covariates, is_numeric
+from halfseen.learning.covariates import Covariates, check_numeric, fit_covariates
 from halfseen.learning.discrete_policy import NamedActionPolicy
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_model import QModel
@@ -80,14 +80,8 @@ def task_of(policy: Any, logs: Logs) -> Task:
         covariates = getattr(policy, "covariates", None)
         covariates = fit_covariates(logs) if covariates is None else covariates
         categories = getattr(policy, "categories", {})
-        known_as_numbers = (
-            [name for name in covariates if name not in categories] if hasattr(policy, "categories") else []
-        )
-        for name in known_as_numbers:
-            if name in stages and not is_numeric(stages, name):
-                for text in stages[name].dropna().iloc[:1]:
-                    such = f"such as {text!r}, and numbers in the training log"
-                    raise LogError(f"covariate {name!r} is text here, {such}; give numbers")
+        if hasattr(policy, "categories"):
+            check_numeric(stages, [name for name in covariates if name not in categories])
         task = NamedActions(actions, covariates, categories)
         return task.fitted(logs, policy.horizon)
     if logs.objects is None:

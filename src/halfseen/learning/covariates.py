@@ -165,10 +165,18 @@ class Covariates:
         return codes
 
 
+def check_numeric(frame: Frame, columns: "Iterable[str]") -> None:
+    """Refuse columns, those that a table has, of values that are no numbers (`LogError`)."""
+    for name in (name for name in columns if name in frame and not is_numeric(frame, name)):
+        is_given = frame[name].notna().to_numpy()
+        if is_given.any():
+            row = int(is_given.argmax())
+            value = frame[name].iloc[[row]].tolist()[0]
+            raise LogError(f"{_place(frame, row)}: covariate {name!r} is not numeric, but {value!r}; give numbers")
+
+
 def _numbers(frame: Frame, columns: list[str]) -> Float[np.ndarray, "m F"]:
-    for name in columns:
-        if not is_numeric(frame, name):
-            raise LogError(f"covariate {name!r} is not numeric and has no known categories; give numbers")
+    check_numeric(frame, columns)
     values = frame[columns].to_numpy(dtype=np.float64, na_value=np.nan)
     wrong = np.argwhere(~(np.abs(values) <= LARGEST))
     if len(wrong):

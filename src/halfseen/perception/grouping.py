@@ -31,8 +31,8 @@ WORST_VESSEL_MISFIT = 3.2
 STANDING_MISFIT = 0.35
 # A larger misfit may be that of a vessel lying on its handle, if that model halves the cost.
 HANDLE_MISFIT, HANDLE_GAIN = 1.6, 0.5
-# Of a piece, each of so many points is compared first.
-FEW = 8
+# Two pieces are first compared by each so many of their points.
+FIRST_STRIDE = 8
 # Fewest points of a vessel.
 FEWEST_OF_VESSEL = 8
 # If a plane fits this much better than a vessel, the object is a face of a box.
@@ -266,7 +266,7 @@ def _is_near(large: _Piece, small: _Piece) -> bool:
     if np.maximum(low - end, begin - high).max() > FARTHEST_PIECES_M:
         return False
     # Most near pieces are found by a few points of each.
-    if cdist(large.thin_m[::FEW], small.thin_m[::FEW]).min() <= FARTHEST_PIECES_M:
+    if cdist(large.thin_m[::FIRST_STRIDE], small.thin_m[::FIRST_STRIDE]).min() <= FARTHEST_PIECES_M:
         return True
     return bool(KDTree(large.thin_m).query(small.thin_m)[0].min() <= FARTHEST_PIECES_M)
 

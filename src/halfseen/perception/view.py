@@ -164,6 +164,7 @@ def _perceived(cloud: Cloud, sensor: DepthSensor) -> View:
         for i, solid in enumerate(solids)
     )
     found = occlusions(labels, solids, plane, image)
+    # Rays without return, −1, are counted first, and dropped.
     num_points = np.bincount(image.pixel_of_point + 1, minlength=image.depth_m.size + 1)[1:]
 
     def seen(i: int, solid: Vessel | Hull, pixels: Pixels) -> SeenObject:
