@@ -13,6 +13,7 @@ from halfseen.learning.preference import (
     Stacked,
     advantages,
     clearly_best,
+    gains_of_preferred,
     stacked,
     with_preference,
 )
@@ -100,17 +101,24 @@ def test_a_log_of_chance_alone_prefers_nothing(chance):
     assert [each.behaviour_weight for each in found] == [0.0, 0.0]
 
 
-def test_advantages_are_those_of_a_loop():
-    stages = {
+SMALL = Logs(
+    stages={
         "trajectory": [0, 0, 0, 1, 1, 2],
         "stage": [1, 2, 3, 1, 2, 1],
-        "elapsed_s": [1.0, 2.0, 3.0, 1.0, None, 1.0],
+        "elapsed_s": [1.0, 2.0, 3.0, 1.0, None, 2.0],
         "reward": [1.0, -2.0, 0.5, 3.0, None, 2.0],
         "action": ["a0", "a1", "a2", "a3", "a4", "a5"],
         "x": [0.3, -1.0, 0.7, 1.2, -0.4, 0.1],
-    }
-    ends = {"trajectory": [0, 1, 2], "end_s": [3.0, 1.5, 1.0], "ending": ["finished", "cut", "finished"]}
-    _, trajectories = laid_out(Logs(stages=stages, trajectories=ends))
+    },
+    trajectories={"trajectory": [0, 1, 2], "end_s": [3.0, 1.5, 2.0], "ending": ["finished", "cut", "finished"]},
+)
+"""Of three trajectories the second is cut at 1.5 s, where all are at risk."""
+
+
+@pytest.mark.parametrize("by_weight", [False, True])
+def test_advantages_are_those_of_a_loop(by_weight):
+    _, trajectories = laid_out(SMALL)
+    weight = np.array([[1.0, 2.0, 3.0], [4.0, 0.0, 0.0], [0.5, 0.0, 0.0]]) if by_weight else np.ones((3, 3))
     x = np.array([[0.3, -1.0, 0.7], [1.2, -0.4, 0.0], [0.1, 0.0, 0.0]])
     reward, followed = [[1.0, -2.0, 0.5], [3.0], [2.0]], [[True, True, False], [True], [False]]
 
@@ -121,14 +129,43 @@ def test_advantages_are_those_of_a_loop():
     for i, rewards in enumerate(reward):
         for t, r in enumerate(rewards):
             after = features(i, t + 1) if followed[i][t] else np.zeros(4)
-            left += np.outer(features(i, t), features(i, t) - after)
-            right += features(i, t) * r
+            left += weight[i, t] * np.outer(features(i, t), features(i, t) - after)
+            right += weight[i, t] * features(i, t) * r
     value, expected = np.linalg.solve(left, right), np.zeros((3, 3))
     for i, rewards in enumerate(reward):
         for t, r in enumerate(rewards):
             after = features(i, t + 1) @ value if followed[i][t] else 0.0
             expected[i, t] = r + after - features(i, t) @ value
-    np.testing.assert_allclose(advantages(trajectories, x[..., None]), expected, atol=1e-10)
+    found = advantages(trajectories, x[..., None], weight if by_weight else None)
+    np.testing.assert_allclose(found, expected, atol=1e-10)
+
+
+def test_what_the_preferred_earned_is_that_of_a_loop():
+    """Ĝ is 2/3 after the cut; the covariates are those of all stages that began."""
+    _, trajectories = laid_out(SMALL)
+    behaviour = np.random.default_rng(0).normal(size=(10, 2))
+    weight = np.array([[1.0, 1.5, 1.5], [1.0, 0.0, 0.0], [1.5, 0.0, 0.0]])
+    x = SMALL.stages["x"].to_numpy()
+    at = np.array([[0.3, -1.0, 0.7], [1.2, -0.4, np.nan], [0.1, np.nan, np.nan]])
+    earned = advantages(trajectories, np.nan_to_num((at - x.mean()) / x.std())[..., None], weight)
+    expected = np.zeros(3)
+    for i, t, action in [(0, 0, 0), (0, 1, 1), (0, 2, 2), (1, 0, 3), (2, 0, 5)]:
+        odds = np.exp(behaviour @ [1.0, at[i, t]])
+        chance = odds / odds.sum()
+        excess = np.maximum((chance - 0.1) / 0.9, 0.0)
+        expected[i] += weight[i, t] * earned[i, t] * (excess[action] - chance @ excess)
+    np.testing.assert_allclose(gains_of_preferred(behaviour, trajectories), expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize(("pays", "is_followed"), [(1.0, True), (0.0, True), (-1.0, False)])
+def test_a_log_of_few_actions_is_not_followed_where_what_it_prefers_earned_less(pays, is_followed):
+    rng = np.random.default_rng(1)
+    x = rng.normal(size=200)
+    is_preferred = rng.random(200) < 0.8
+    log = log_of(np.where((x > 0) == is_preferred, "A", "B"), pays * is_preferred + rng.normal(size=200), x=x)
+    learner = CensoredQLearner(1, ["A", "B"], ["x"]).fit(log)
+    assert (learner.policy_.behaviour is not None) == is_followed
+    assert any("they earned less" in why for why in learner.chosen_) != is_followed
 
 
 def test_stacking_is_least_squares_with_errors_by_trajectory():

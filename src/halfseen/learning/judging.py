@@ -20,7 +20,7 @@ import numpy as np
 
 from halfseen.errors import warn
 from halfseen.learning.q_model import QModel
-from halfseen.learning.q_space import StageMode
+from halfseen.learning.q_space import CrossValidation, StageMode
 from halfseen.learning.recursion import QFunctions, fit_each_stage, fit_q
 from halfseen.learning.rows import TrajectoryArrays, Transitions, q_values
 from halfseen.learning.sample import FEWEST_TRAJECTORIES, recency_weights
@@ -29,7 +29,8 @@ from halfseen.logs.data_quality import text_order
 from halfseen.shapes import Float, Int
 from halfseen.workers.threads import one_thread
 
-NUM_FOLDS = 2
+NUM_FOLDS, NUM_INNER_FOLDS = 5, 2
+"""Folds that are held out, and of the cross-validation of λ within the rest."""
 FEWEST_HELD_OUT = 20
 """Fewest trajectories for a choice between stage modes."""
 CLEARLY_SEPARATE, CLEARLY_WORSE = 2.0, 1.0
@@ -121,7 +122,9 @@ def with_stages(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, 
         return model, model.chosen
     if not model.is_affordable(trajectories.features.shape[-1]):
         return model, (*model.chosen, "stages are pooled: trying separate ones too would take minutes")
-    gain, error = _mean_and_error(_gains_of_separate(replace(model, stages="pooled", pessimism=0.0), trajectories))
+    reg = CrossValidation(NUM_INNER_FOLDS) if isinstance(model.reg, CrossValidation) else model.reg
+    pooled = replace(model, stages="pooled", pessimism=0.0, reg=reg)
+    gain, error = _mean_and_error(gains_of_separate(pooled, trajectories))
     found = f"by {gain:.3g} ± {error:.2g} squared error a trajectory"
     if gain > CLEARLY_SEPARATE * error:
         finding = f"stages are separate: held out, they predict better than pooled ones {found}"
@@ -130,7 +133,7 @@ def with_stages(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, 
     return replace(model, stages="pooled"), (*model.chosen, finding)
 
 
-def _gains_of_separate(pooled: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarray, " n"]:
+def gains_of_separate(pooled: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarray, " n"]:
     """Squared error of pooled minus that of separate stages, for each trajectory, fitted without its fold."""
     log = pooled.transitions(trajectories)
     regression = pooled.regression(trajectories.num_trajectories, log.is_possible.shape[-1])

@@ -1,6 +1,14 @@
-"""What a log prefers: where many actions share few stages, the policy stays near the behaviour policy.
+"""What a log prefers, and how far the policy follows it.
 
-If many actions share few stages, the behaviour policy decides where Q cannot (behaviour regularisation):
+*Few actions.* The margin of an action is reduced as far as the log prefers it (`behaviour`), unless what it prefers
+clearly earned less: unless the mean over trajectories of
+
+    Σ_t δ_t / Ĝ(U_t⁻) · A_t · (ℓ(A_t | S_t) − Σ_a b(a | S_t) ℓ(a | S_t)),
+
+with A_t the advantage below, ℓ the excess propensity and Ĝ by Kaplan and Meier, is negative by two standard errors.
+
+*Many actions.* If many actions share few stages, the behaviour policy decides where Q cannot (behaviour
+regularisation):
 
     argmax_a  Q̂(S, a) − margin + τ·log b(a | S)
 
@@ -26,11 +34,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from halfseen.learning.behaviour import log_chances, mean_and_scale, unscaled
+from halfseen.learning.behaviour import excess_propensity, log_chances, mean_and_scale, unscaled
 from halfseen.learning.judging import FEWEST_HELD_OUT, q_of_stages
 from halfseen.learning.q_model import QModel
 from halfseen.learning.recursion import fit_q
 from halfseen.learning.rows import TrajectoryArrays
+from halfseen.learning.targets import Weighted
 from halfseen.shapes import Bool, Float, Int
 from halfseen.workers.threads import one_thread
 
@@ -40,7 +49,7 @@ NUM_FOLDS, NUM_FOLDS_OF_Q = 5, 2
 VALUE_RIDGE = 3.0
 """Ridge penalty of V̂."""
 STANDARD_ERRORS = 2.0
-"""By which c is lowered; and σ in the largest τ."""
+"""By which c is lowered; that make an advantage clear; and σ in the largest τ."""
 MULTIPLES = 2.0 ** np.arange(5)
 """Multiples of τ that are tried."""
 LEAST_PROBABILITY = 0.01
@@ -126,12 +135,13 @@ class Stacked(NamedTuple):
 
 
 def with_preference(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, tuple[str, ...]]:
-    """Estimate b and τ from a log of many actions or a sample of it; return the model and what was found."""
+    """Decide from a log or a sample of it how far to follow what it prefers; return the model and what was found.
+
+    With many actions, b and τ are estimated. With few, b is dropped if what the log prefers clearly earned less.
+    """
     if not model.has_many_actions:
-        return model, ()
-    known, covariates = trajectories.is_begun & trajectories.has_action, trajectories.features[..., 0, :]
-    mean, scale = mean_and_scale(covariates[known])
-    standard = np.where(trajectories.is_begun[..., None], (covariates - mean) / scale, 0.0)
+        return _without_costly(model, trajectories)
+    known, (standard, mean, scale) = trajectories.is_begun & trajectories.has_action, _standardised(trajectories)
     weight = _weights(trajectories.probability[known], trajectories.is_possible[known])
     choices = _Choices(standard[known], trajectories.is_possible[known], trajectories.action[known], weight)
     of_trajectory, done = np.nonzero(known)[0], trajectories.is_completed[known]
@@ -149,6 +159,51 @@ def with_preference(model: QModel, trajectories: TrajectoryArrays) -> tuple[QMod
         tau *= MULTIPLES[clearly_best(choices.followed(q, tau, log_b) * advantage / chance, of_trajectory)]
     behaviour = unscaled(choices.fitted(ridge), mean, scale)
     return replace(model, behaviour=behaviour, behaviour_weight=float(tau)), (_in_words(found, tau),)
+
+
+def _without_costly(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, tuple[str, ...]]:
+    """Drop b if the actions that it prefers clearly earned less than others."""
+    if model.behaviour is None or not model.task.is_shared or not _prefers(model.behaviour, trajectories):
+        return model, ()
+    gain = gains_of_preferred(model.behaviour, trajectories)
+    if gain.sum() >= -STANDARD_ERRORS * np.sqrt((gain**2).sum()):
+        return model, ()
+    why = "the margin of Q is not reduced for actions that the log often takes: they earned less than others"
+    return replace(model, behaviour=None), (why,)
+
+
+def _prefers(behaviour: Float[np.ndarray, "A F1"], trajectories: TrajectoryArrays) -> bool:
+    """Whether b describes the completed stages better than uniform choice, by Akaike's criterion."""
+    choices = _completed(trajectories)
+    more = choices.of_taken(choices.log_chances(behaviour)) + np.log(choices.is_possible.sum(axis=1))
+    return bool(more.sum() > behaviour[1:].size)
+
+
+def gains_of_preferred(behaviour: Float[np.ndarray, "A F1"], trajectories: TrajectoryArrays) -> Float[np.ndarray, " n"]:
+    """Sum over the stages of each trajectory of what an action earned, times how much the log prefers it."""
+    done, choices = trajectories.is_completed, _completed(trajectories)
+    log_b = choices.log_chances(behaviour)
+    lead = choices.lead(excess_propensity(log_b, choices.is_possible), np.exp(log_b))
+    by_kaplan_meier = Weighted()
+    weight = by_kaplan_meier.weights(trajectories, by_kaplan_meier.fit_cuts(trajectories.clocks))
+    advantage = advantages(trajectories, _standardised(trajectories)[0], weight)
+    return np.bincount(np.nonzero(done)[0], (weight * advantage)[done] * lead, trajectories.num_trajectories)
+
+
+def _completed(trajectories: TrajectoryArrays) -> _Choices:
+    """Completed stages, with covariates as they are."""
+    done = trajectories.is_completed
+    covariates, possible = trajectories.features[done][:, 0], trajectories.is_possible[done]
+    return _Choices(covariates, possible, trajectories.action[done], np.ones(int(done.sum())))
+
+
+def _standardised(
+    trajectories: TrajectoryArrays,
+) -> tuple[Float[np.ndarray, "n T F"], Float[np.ndarray, " F"], Float[np.ndarray, " F"]]:
+    """Covariates of the stages that began, standardised, 0 elsewhere; their means and scales."""
+    covariates = trajectories.features[..., 0, :]
+    mean, scale = mean_and_scale(covariates[trajectories.is_begun & trajectories.has_action])
+    return np.where(trajectories.is_begun[..., None], (covariates - mean) / scale, 0.0), mean, scale
 
 
 def _in_words(found: Stacked, tau: float) -> str:
@@ -208,11 +263,15 @@ def _weights(
     return is_preferred.astype(np.float64) if is_told else np.ones(len(likely))
 
 
-def advantages(trajectories: TrajectoryArrays, covariates: Float[np.ndarray, "n T F"]) -> Float[np.ndarray, "n T"]:
+def advantages(
+    trajectories: TrajectoryArrays,
+    covariates: Float[np.ndarray, "n T F"],
+    weight: Float[np.ndarray, "n T"] | None = None,
+) -> Float[np.ndarray, "n T"]:
     """Return above V̂ of each completed stage; 0 for other stages.
 
     V̂ is linear in the stage, in the covariates, which are standardised and 0 where no stage began, and in their
-    squares.
+    squares. It is fitted to completed stages, weighted if weights are given.
     """
     done, horizon = trajectories.is_completed, covariates.shape[1]
     stage = np.broadcast_to(np.arange(horizon)[:, None] / horizon, (*covariates.shape[:2], 1))
@@ -222,7 +281,8 @@ def advantages(trajectories: TrajectoryArrays, covariates: Float[np.ndarray, "n 
     goes_on = done & ~trajectories.is_last
     step = design[done] - np.where(goes_on[done][:, None], after[done], 0.0)
     penalty = VALUE_RIDGE * np.diag(np.arange(design.shape[-1]) > 0)
-    value = np.linalg.lstsq(design[done].T @ step + penalty, design[done].T @ trajectories.reward[done], rcond=None)[0]
+    weighted = design[done].T if weight is None else design[done].T * weight[done]
+    value = np.linalg.lstsq(weighted @ step + penalty, weighted @ trajectories.reward[done], rcond=None)[0]
     found = np.zeros(done.shape)
     found[done] = trajectories.reward[done] - step @ value
     return found

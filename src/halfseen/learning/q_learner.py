@@ -88,8 +88,8 @@ class CensoredQLearner(Estimator):
         λ; ``"cv"`` or ``CrossValidation(…)``: chosen for each regression and block by weighted cross-validation.
     pessimism
         Standard errors by which Q is lowered wherever a maximum is taken, in eq. 3 and by the policy, so that estimates
-        from few stages are not trusted (`regression`). The policy lowers Q less for actions that the log often takes
-        (`behaviour`). 0 gives eq. 3 unchanged. ``"auto"``: 2/√T, but 0 if `censoring` is given.
+        from few stages are not trusted (`regression`). The policy lowers Q less for actions that the log often takes,
+        unless they earned less (`preference`). 0 gives eq. 3 unchanged. ``"auto"``: 2/√T, 0 if `censoring` is given.
     random_state
         Seed of the folds of trajectories and the landmarks of a kernel.
     half_life

@@ -117,8 +117,8 @@ def _q_rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     is_weighted = learner["censoring"] in ("kaplan-meier", "cox", "kernel")
     by = f", by {learner['censoring_by']}" if is_weighted else ""
     pessimism = (
-        f"Q is lowered by {learner['pessimism']:.2g} times its standard error, less for actions that the logs "
-        "often take, so that no action is chosen on the evidence of few stages"
+        f"Q is lowered by {learner['pessimism']:.2g} times its standard error, so that no action is chosen on the "
+        "evidence of few stages; less for actions that the logs often take, unless they earned less"
     )
     return [
         ("Q", f"{learner['q_function']}, stages {learner['stages']}, {horizon}"),
