@@ -1,37 +1,48 @@
-"""How much better separate stages predict what is held out, beside least squares in loops."""
+"""How much better other stages than pooled ones predict what is held out, beside least squares in loops."""
 
 import numpy as np
 from trials import log_of
 
 from halfseen.learning import CensoredQLearner
-from halfseen.learning.judging import NUM_FOLDS, gains_of_separate
+from halfseen.learning.judging import NUM_FOLDS, gains_over_pooled
 
 
-def fitted(x, action, target):
-    """Least squares of each action."""
-    return {a: np.polynomial.polynomial.polyfit(x[action == a], target[action == a], 1) for a in "AB"}
+def design(x, late):
+    return np.column_stack([np.ones_like(x), x, late, late * x] if late is not None else [np.ones_like(x), x])
 
 
-def q_of(fit, x, action):
+def fitted(x, action, target, late=None):
+    """Least squares of each action; with a trend, if it is said which rows are late (1) or early (−1)."""
+    rows = design(x, late)
+    return {a: np.linalg.lstsq(rows[action == a], target[action == a], rcond=None)[0] for a in "AB"}
+
+
+def q_of(fit, x, action, late=None):
     """Q of each row, for an action or for the one of each row."""
-    return np.array([fit[a] @ [1.0, each] for a, each in zip(np.broadcast_to(action, x.shape), x, strict=True)])
+    each = np.array([fit[a] for a in np.broadcast_to(action, x.shape)])
+    return (design(x, late) * each).sum(axis=1)
 
 
-def test_gains_of_separate_stages_are_those_of_loops():
+def test_gains_over_pooled_stages_are_those_of_loops():
     rng = np.random.default_rng(0)
     x, action, reward = rng.normal(size=(60, 2)), rng.choice(["A", "B"], (60, 2)), rng.normal(size=(60, 2))
     log = log_of(action.ravel(), reward.ravel(), num_stages=2, x=x.ravel())
     settings = {"q_function": "linear", "censoring": "none", "stages": "pooled", "pessimism": 0.0, "reg": 0.0}
-    found = gains_of_separate(*CensoredQLearner(2, ["A", "B"], ["x"], **settings).compose(log).fitted(log))
-    fold, expected = np.random.default_rng([0, 2]).permutation(60) % NUM_FOLDS, np.zeros(60)
+    found = gains_over_pooled(*CensoredQLearner(2, ["A", "B"], ["x"], **settings).compose(log).fitted(log))
+    fold, expected = np.random.default_rng([0, 2]).permutation(60) % NUM_FOLDS, np.zeros((2, 60))
+    late = np.broadcast_to([-1.0, 1.0], (60, 2))
     for k in range(NUM_FOLDS):
         some = fold != k
         last = fitted(x[some].ravel(), action[some].ravel(), reward[some].ravel())
         value = np.maximum(q_of(last, x[:, 1], "A"), q_of(last, x[:, 1], "B"))
         target = np.column_stack([reward[:, 0] + value, reward[:, 1]])
         pooled = fitted(x[some, 0], action[some, 0], target[some, 0]), last
+        # With two steps to go there are rows of the first stage alone, so a trend changes nothing.
+        trend = fitted(x[some].ravel(), action[some].ravel(), reward[some].ravel(), late[some].ravel())
         for t in range(2):
             separate = fitted(x[some, t], action[some, t], target[some, t])
-            errors = [(q_of(fit, x[:, t], action[:, t]) - target[:, t]) ** 2 for fit in (pooled[t], separate)]
-            expected[~some] += (errors[0] - errors[1])[~some]
+            q = [q_of(fit, x[:, t], action[:, t]) for fit in (pooled[t], separate)]
+            q.insert(1, q[0] if t == 0 else q_of(trend, x[:, t], action[:, t], late[:, t]))
+            errors = [(each - target[:, t]) ** 2 for each in q]
+            expected[:, ~some] += np.array([errors[0] - errors[1], errors[0] - errors[2]])[:, ~some]
     np.testing.assert_allclose(found, expected, atol=1e-8)

@@ -23,6 +23,7 @@ from halfseen.learning import (
 )
 from halfseen.learning.behaviour import fit_choice
 from halfseen.logs import Logs
+from halfseen.policies.folder.specification import described
 from refusals import refused_type
 
 
@@ -113,7 +114,7 @@ def test_an_unknown_action_is_named(logs):
         ({"reg": float("nan")}, ArgumentError, "reg is nan"),
         ({"reg": "ridge"}, ArgumentError, "reg is 'ridge'"),
         ({"q_function": "forest"}, ArgumentError, "q_function is 'forest'"),
-        ({"stages": "merged"}, ArgumentError, "stages is 'merged'; give 'separate' or 'pooled'"),
+        ({"stages": "merged"}, ArgumentError, "stages is 'merged'; give 'separate', 'pooled' or 'trend'"),
         (
             {"censoring": "weibull"},
             ArgumentError,
@@ -375,30 +376,37 @@ print(*[name for name in heavy if name in sys.modules])
     assert found.stdout == "\n\n"
 
 
-def two_stages(num_trajectories, is_swapped, seed=0):
-    """Two stages; A suits a positive x and B a negative one, or in the second stage the other way round."""
+def staged(num_trajectories, suits, seed=0):
+    """Stages in which A suits a positive x and B a negative one (1), the other way round (−1), or neither (0)."""
     rng = np.random.default_rng(seed)
-    stage = np.tile([1, 2], num_trajectories)
-    x = rng.normal(size=2 * num_trajectories)
-    action = rng.choice(["A", "B"], 2 * num_trajectories)
-    sign = np.where(action == "A", 1.0, -1.0) * np.where((stage == 2) & is_swapped, -1.0, 1.0)
-    reward = sign * x + 0.3 * rng.normal(size=2 * num_trajectories)
-    return log_of(action, reward, num_stages=2, x=x)
+    sign = np.tile(suits, num_trajectories)
+    x = rng.normal(size=len(sign))
+    action = rng.choice(["A", "B"], len(sign))
+    reward = np.where(action == "A", 1.0, -1.0) * sign * x + 0.3 * rng.normal(size=len(sign))
+    return log_of(action, reward, num_stages=len(suits), x=x)
 
 
-@pytest.mark.parametrize(("is_swapped", "stages"), [(False, "pooled"), (True, "separate")])
-def test_stages_are_separate_where_they_differ(is_swapped, stages):
-    learner = CensoredQLearner(2, ["A", "B"], ["x"]).fit(two_stages(120, is_swapped))
-    assert learner.model_.stages == stages
-    assert learner.chosen_[0].startswith(f"stages are {stages}: held out, ")
+@pytest.mark.parametrize(
+    ("suits", "why", "stages"),
+    [
+        ((1, 1), "stages are pooled: held out, ", "pooled"),
+        ((1, 0, -1), "stages are pooled with a trend over them: held out, ", "trend"),
+        ((1, -1, 1), "stages are separate: held out, ", "separate"),
+    ],
+)
+def test_stages_are_separate_or_have_a_trend_where_they_differ(suits, why, stages):
+    learner = CensoredQLearner(len(suits), ["A", "B"], ["x"]).fit(staged(200, suits))
+    assert learner.chosen_[0].startswith(why)
+    assert described(learner.model_)["stages"] == stages
     states = pd.DataFrame({"x": [-1.0, 1.0]})
-    assert learner.decide(states, 1).tolist() == ["B", "A"]
-    assert learner.decide(states, 2).tolist() == (["A", "B"] if is_swapped else ["B", "A"])
+    for stage, suit in enumerate(suits, start=1):
+        if suit:
+            assert learner.decide(states, stage).tolist() == (["B", "A"] if suit > 0 else ["A", "B"])
 
 
 @pytest.mark.parametrize(
     ("num_trajectories", "said"), [(60, {"stages": "pooled"}), (10, {})], ids=["said", "too few trajectories"]
 )
 def test_there_is_not_always_a_choice(num_trajectories, said):
-    learner = CensoredQLearner(2, ["A", "B"], ["x"], **said).fit(two_stages(num_trajectories, True))
+    learner = CensoredQLearner(2, ["A", "B"], ["x"], **said).fit(staged(num_trajectories, (1, -1)))
     assert (learner.model_.stages, learner.chosen_) == ("pooled", ())

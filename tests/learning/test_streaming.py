@@ -61,6 +61,7 @@ SUMS_ALONE = [
     OF_PAPER | {"reg": 0.0},
     OF_PAPER,
     OF_PAPER | {"stages": "pooled"},
+    OF_PAPER | {"stages": "trend"},
     OF_PAPER | {"reg": 0.1, "censoring": "cox", "covariates": ["s1_1", "s1_2"], "actions": {1: ACTIONS, 2: ["B", "A"]}},
     OF_PAPER | {"reg": 0.1, "censoring": Weighted(truncate_at=2.0)},
     OF_PAPER | {"reg": 0.1, "censoring": Weighted("cox", by="stage", truncate_at=9.0)},
@@ -75,6 +76,7 @@ BY_SAMPLE = [
     OF_PAPER | {"q_function": "kernel", "reg": 1e-3, "covariates": ["s1_1", "s2_1"]},
     {"covariates": ["s1_1", "s2_1"]},
     {"covariates": ["s1_1", "s2_1"], "stages": "separate"},
+    {"covariates": ["s1_1", "s2_1"], "stages": "trend"},
 ]
 """Something is fitted to a sample of the trajectories."""
 

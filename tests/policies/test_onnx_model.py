@@ -24,7 +24,7 @@ FLAT = {
     "linear": {"reg": 0.1},
     "linear, pessimistic": {"reg": 0.1, "pessimism": 1.0},
     "kernel": {"reg": 0.1, "q_function": "kernel"},
-    "smooth, pessimistic": {"reg": 0.1, "q_function": "smooth", "pessimism": 0.5, "stages": "pooled"},
+    "smooth, pessimistic": {"reg": 0.1, "q_function": "smooth", "pessimism": 0.5, "stages": "trend"},
     "what the log does": {"reg": 0.1, "pessimism": 1.0, "behaviour_weight": 0.7},
 }
 TABLES = {

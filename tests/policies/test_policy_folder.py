@@ -37,7 +37,7 @@ HIDES = np.array([[0.0, 0.3, 0.9], [0.0, 0.0, 0.0], [0.2, 0.1, 0.0]])
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("q_function", "stages", "pessimism"),
-    [("linear", "separate", 0.0), ("linear", "pooled", 2.0), ("kernel", "separate", 2.0)],
+    [("linear", "separate", 0.0), ("linear", "pooled", 2.0), ("smooth", "trend", 2.0), ("kernel", "separate", 2.0)],
 )
 def test_a_policy_of_named_actions_comes_back_to_the_last_bit(logs, tmp_path, q_function, stages, pessimism):
     learner = FLAT(q_function=q_function, stages=stages, pessimism=pessimism).fit(logs["flat"])

@@ -62,7 +62,7 @@ class Learning(NamedTuple):
 
     covariates: options.Names = None
     q_function: Annotated[str, options.word("auto", "linear", "quadratic", "kernel", "smooth", "tabular")] = "auto"
-    stages: Annotated[str, options.word("auto", "separate", "pooled")] = "auto"
+    stages: Annotated[str, options.word("auto", "separate", "pooled", "trend")] = "auto"
     horizon: Annotated[int | None, options.whole(1, options.MOST_STAGES)] = None
     grasp: Annotated[str | None, options.word("auto", "laplace", "beta")] = None
     has_laws: Annotated[bool, {"flags": "--laws/--no-laws"}] = True

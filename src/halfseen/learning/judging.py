@@ -1,9 +1,10 @@
-"""Fitted values of every stage of a log, and the choices made by them: pooled or separate stages, and the half-life.
+"""Fitted values of every stage of a log, and the choices made by them: how stages are pooled, and the half-life.
 
-*Stages.* A pooled Q is fitted to more rows, but is biased if the effect of an action depends on the stage. Both modes
-predict the same targets of held-out trajectories: those of pooled stages, fitted without the trajectory's own fold.
-Separate stages are chosen only if they predict better beyond noise, because the errors are asymmetric: with few rows,
-separate stages lose more by variance than pooled ones by bias.
+*Stages.* A pooled Q is fitted to more rows, but is biased if the effect of an action depends on the stage. Pooled
+stages, the same with a trend (`stage_trend`) and separate ones predict the same targets of held-out trajectories: those
+of pooled stages, fitted without the trajectory's own fold. A trend is chosen if it predicts better. Separate stages are
+chosen only if they do so beyond noise, because the errors are asymmetric: with few rows, separate stages lose more by
+variance than pooled ones by bias.
 
 *Half-life* of recency weights. The latest fifth of the log is predicted block by block, each block from the
 trajectories before it, in the function class and with the weights of eq. 3. The targets are those of completed stages,
@@ -21,7 +22,7 @@ import numpy as np
 from halfseen.errors import warn
 from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import CrossValidation, StageMode
-from halfseen.learning.recursion import QFunctions, fit_each_stage, fit_q
+from halfseen.learning.recursion import QFunctions, fit_each_stage, fit_q, fit_to_values
 from halfseen.learning.rows import TrajectoryArrays, Transitions, q_values
 from halfseen.learning.sample import FEWEST_TRAJECTORIES, recency_weights
 from halfseen.learning.sums import or_nothing
@@ -124,30 +125,45 @@ def with_stages(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, 
         return model, (*model.chosen, "stages are pooled: trying separate ones too would take minutes")
     reg = CrossValidation(NUM_INNER_FOLDS) if isinstance(model.reg, CrossValidation) else model.reg
     pooled = replace(model, stages="pooled", pessimism=0.0, reg=reg)
-    gain, error = _mean_and_error(gains_of_separate(pooled, trajectories))
-    found = f"by {gain:.3g} ± {error:.2g} squared error a trajectory"
+    of_trend, of_separate = gains_over_pooled(pooled, trajectories)
+    has_trend = bool(of_trend.mean() > 0)
+    gain, error = _mean_and_error(of_separate - of_trend if has_trend else of_separate)
     if gain > CLEARLY_SEPARATE * error:
-        finding = f"stages are separate: held out, they predict better than pooled ones {found}"
-        return replace(model, stages="separate"), (*model.chosen, finding)
-    finding = f"stages are pooled: held out, separate ones do not clearly predict better ({found})"
-    return replace(model, stages="pooled"), (*model.chosen, finding)
+        than = "pooled ones with a trend" if has_trend else "pooled ones"
+        why = f"stages are separate: held out, they predict better than {than} {_by(gain, error)}"
+        return replace(model, stages="separate"), (*model.chosen, why)
+    rest = f"separate ones do not clearly predict better ({_by(gain, error)})"
+    if not has_trend:
+        return replace(model, stages="pooled"), (*model.chosen, f"stages are pooled: held out, {rest}")
+    why = f"stages are pooled with a trend over them: held out, it predicts better {_by(*_mean_and_error(of_trend))}"
+    return model.with_trend(trajectories.features.shape[-1]), (*model.chosen, f"{why}, and {rest}")
 
 
-def gains_of_separate(pooled: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarray, " n"]:
-    """Squared error of pooled minus that of separate stages, for each trajectory, fitted without its fold."""
-    log = pooled.transitions(trajectories)
+def _by(gain: float, error: float) -> str:
+    return f"by {gain:.3g} ± {error:.2g} squared error a trajectory"
+
+
+def gains_over_pooled(pooled: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarray, "2 n"]:
+    """Squared error of pooled stages minus that with a trend, and of separate ones, of each trajectory held out."""
+    with_trend = pooled.with_trend(trajectories.features.shape[-1])
+    log, of_trend = pooled.transitions(trajectories), with_trend.transitions(trajectories)
     regression = pooled.regression(trajectories.num_trajectories, log.is_possible.shape[-1])
     fold = np.random.default_rng([pooled.random_state, 2]).permutation(trajectories.num_trajectories) % NUM_FOLDS
     blocks, seen = regression.block_of_action, _seen(log)
 
-    def gains(k: int) -> Float[np.ndarray, " n"]:
-        some = log.counted((fold != k).astype(np.float64))
-        pooled = judged(fit_q(some, regression), log, blocks, "pooled", log.reward)
-        # Separate stages are fitted to the targets of the pooled ones.
+    def gains(k: int) -> Float[np.ndarray, "2 n"]:
+        counts = (fold != k).astype(np.float64)
+        some = log.counted(counts)
+        fits = fit_q(some, regression)
+        pooled = judged(fits, log, blocks, "pooled", log.reward)
+        # All are fitted to the targets of the pooled ones.
         to_be = some._replace(reward=targets(some, pooled.value))
         separate = judged(fit_each_stage(to_be, regression), log, blocks, "separate", log.reward)
-        errors = (pooled.taken - pooled.target) ** 2 - (separate.taken - pooled.target) ** 2
-        return np.sum(np.where(seen > 0, seen * errors, 0.0), axis=1)
+        trend = judged(
+            fit_to_values(of_trend.counted(counts), regression, fits), of_trend, blocks, "pooled", log.reward
+        )
+        errors = [(each.taken - pooled.target) ** 2 for each in (pooled, trend, separate)]
+        return np.stack([np.where(seen > 0, seen * (errors[0] - each), 0.0).sum(axis=1) for each in errors[1:]])
 
     with one_thread():
         return np.choose(fold, [gains(k) for k in range(NUM_FOLDS)])

@@ -22,6 +22,7 @@ from halfseen.learning.promise import believable
 from halfseen.learning.q_model import QModel, checked_log
 from halfseen.learning.q_space import (
     SMOOTH,
+    TREND,
     CrossValidation,
     LinearQ,
     QSpace,
@@ -35,6 +36,7 @@ from halfseen.learning.q_space import (
 )
 from halfseen.learning.recursion import QFunctions
 from halfseen.learning.rows import unseen_in_words
+from halfseen.learning.stage_trend import stage_trend_of
 from halfseen.learning.streaming import learned_from
 from halfseen.learning.tabular import is_state, with_states
 from halfseen.learning.targets import BuckleyJames, Targets, Weighted, targets_of
@@ -82,8 +84,9 @@ class CensoredQLearner(Estimator):
         imputed by a regression alone. ``"none"``: completed stages get equal weights. ``"auto"``: imputed, or
         Kaplan–Meier weights if the action of a cut stage is not known.
     stages
-        ``"separate"``: one Q per stage. ``"pooled"``: one Q per number of steps to go, fitted to the rows of all
-        stages. ``"auto"``: pooled, unless separate stages predict clearly better (`judging`).
+        ``"separate"``: one Q per stage. ``"pooled"``: one per number of steps to go, fitted to all rows. ``"trend"``:
+        pooled, with effects that change linearly from stage to stage (`stage_trend`). ``"auto"``: what predicts best,
+        but separate only if clearly so (`judging`).
     reg
         λ; ``"cv"`` or ``CrossValidation(…)``: chosen for each regression and block by weighted cross-validation.
     pessimism
@@ -130,7 +133,7 @@ class CensoredQLearner(Estimator):
     _: KW_ONLY
     q_function: QSpace | Literal["auto", "linear", "quadratic", "kernel", "smooth", "tabular"] | str = AUTO
     censoring: Targets | CensoringModel | str = AUTO
-    stages: StageMode | str = AUTO
+    stages: StageMode | Literal["trend", "auto"] | str = AUTO
     reg: CrossValidation | float | int | Literal["cv"] | str = "cv"
     pessimism: float | int | Literal["auto"] | str = AUTO
     random_state: int = 0
@@ -270,16 +273,18 @@ class CensoredQLearner(Estimator):
             space=space,
             reg=reg_of(self.reg),
             stages="pooled" if _is_auto(self.stages) else stage_mode_of(self.stages),
+            stage_trend=stage_trend_of(None, 0) if self.stages == TREND else None,
             pessimism=0.0 if _is_auto(self.pessimism) else pessimism_of(self.pessimism),
             random_state=self.random_state,
             half_life=half_life_of(self.half_life),
             is_space_free=_is_auto(self.q_function),
         )
+        if model.stage_trend and task.end_action is not None:
+            raise ArgumentError("stages is 'trend', which tables do not have; give 'pooled' or 'separate'")
         if is_of_policy and model.pessimism > 0:
-            raise ArgumentError(
-                f"pessimism is {self.pessimism}, but Q is that of a given policy, without a maximum over "
-                "actions; leave it out, or learn Q of the best policy (base=None)"
-            )
+            of_given = "Q is that of a given policy, without a maximum over actions"
+            best = "leave it out, or learn Q of the best policy (base=None)"
+            raise ArgumentError(f"pessimism is {self.pessimism}, but {of_given}; {best}")
         if _is_auto(self.pessimism) and not (is_fixed or is_of_policy):
             model = replace(model, pessimism=PESSIMISM / self.horizon**0.5)
         has_many_actions = model.pessimism > 0 and task.is_shared and model.num_blocks >= MANY_ACTIONS
@@ -288,15 +293,11 @@ class CensoredQLearner(Estimator):
     def _of_table(self, task: Task, logs: Logs | LogStream | None, targets: Targets) -> QModel:
         """Compose a tabular Q: pooled stages, and cells shrunk instead of pessimism."""
         if self.stages not in (AUTO, "pooled") or self.pessimism not in (AUTO, 0):
-            raise ArgumentError(
-                "q_function is 'tabular', which pools stages and shrinks cells with few stages, but stages is "
-                f"{self.stages!r} and pessimism {self.pessimism!r}; leave them out"
-            )
+            given = f"stages is {self.stages!r} and pessimism {self.pessimism!r}; leave them out"
+            raise ArgumentError(f"q_function is 'tabular', which pools stages and shrinks rare cells, but {given}")
         if self.half_life is not None:
-            raise ArgumentError(
-                "q_function is 'tabular', which weights all trajectories equally, but half_life is "
-                f"{self.half_life!r}; select those since a change instead (--since)"
-            )
+            given = f"half_life is {self.half_life!r}; select those since a change instead (--since)"
+            raise ArgumentError(f"q_function is 'tabular', which weights all trajectories equally, but {given}")
         states = with_states(task, logs, targets)
         rest = (targets, TabularQ(), reg_of(self.reg), "pooled", self.random_state)
         return QModel(
@@ -339,9 +340,8 @@ class CensoredQLearner(Estimator):
 
     def _named_policy(self) -> Any:
         if isinstance(self.actions, Task):
-            raise ArgumentError(
-                f"{type(self.actions).__name__} decides by its own policy; use policy_, or name actions"
-            )
+            name = type(self.actions).__name__
+            raise ArgumentError(f"{name} decides by its own policy; use policy_, or name actions")
         check_fitted(self, "policy_")
         return self.policy_
 

@@ -39,6 +39,7 @@ from halfseen.learning.rows import (
     trajectory_arrays,
 )
 from halfseen.learning.sample import recency_weights, sampled
+from halfseen.learning.stage_trend import StageTrend, stage_trend_of
 from halfseen.learning.sums import Regression
 from halfseen.learning.tabular import StateActions, fit_table
 from halfseen.learning.targets import Targets, Weighted
@@ -96,6 +97,8 @@ class QModel:
     towards the behaviour policy (`behaviour`)."""
     behaviour_weight: float = 0.0
     """τ of that preference, once estimated."""
+    stage_trend: StageTrend | None = None
+    """How effects change over pooled stages; None if they do not."""
     half_life: float | str | None = None
     """Trajectories over which the weight in eq. 3 halves (`sample`); ``"auto"`` until it is chosen, None for equal
     weights."""
@@ -144,6 +147,7 @@ class QModel:
         if isinstance(model.space, LinearQ) and type(self.task) is NamedActions:
             refuse_far(taken, self.task.looks_at.names)
         model = replace(model, kernel_map=model.space.features(taken, self.random_state))
+        model = model.with_trend(taken.shape[1]) if model.stage_trend else model
         if self.pessimism == 0 or self.has_many_actions:
             return model
         known, blocks = trajectories.is_begun & trajectories.has_action, self.blocks(trajectories.is_possible.shape[-1])
@@ -152,6 +156,10 @@ class QModel:
         )
         return replace(model, behaviour=found)
 
+    def with_trend(self, num_inputs: int) -> "QModel":
+        """Pool the stages, with a trend over them."""
+        return replace(self, stages="pooled", stage_trend=stage_trend_of(self.kernel_map, num_inputs))
+
     @property
     def num_blocks(self) -> int:
         """Number K of blocks of coefficients."""
@@ -159,11 +167,14 @@ class QModel:
 
     def is_affordable(self, num_inputs: int) -> bool:
         """Whether a Q with this many inputs can be fitted in seconds."""
-        return self.num_blocks * self.space.num_features(num_inputs) ** 3 <= MOST_WORK
+        return self.num_blocks * self._num_features(num_inputs) ** 3 <= MOST_WORK
+
+    def _num_features(self, num_inputs: int) -> int:
+        return self.space.num_features(num_inputs) + (1 + num_inputs if self.stage_trend else 0)
 
     def _with_affordable_space(self, num_inputs: int) -> "QModel":
         """Replace a default 𝒬 that is too large by a linear one; refuse a Q that does not fit in memory."""
-        num_blocks, num_features = self.num_blocks, self.space.num_features(num_inputs)
+        num_blocks, num_features = self.num_blocks, self._num_features(num_inputs)
         if self.is_space_free and not self.is_affordable(num_inputs):
             why = f"Q is linear: a smooth Q would have {num_features} features for each of {num_blocks} actions"
             return replace(self, space=LinearQ(), space_chosen=(why,))
@@ -237,11 +248,15 @@ class QModel:
         reward, variates = self.task.reduce_variance(self.rewarded(trajectories, weight))
         is_possible = trajectories.is_possible
         features = trajectories.features[:, :, :1] if self.task.is_shared else trajectories.features
+        features = features if self.kernel_map is None else np.asarray(self.kernel_map(features))
+        if self.stage_trend is not None:
+            features = np.concatenate([features, self.stage_trend.of(features)], axis=-1)
+            imputed = None if imputed is None else self.stage_trend.used_by(imputed)
         if self.support is not None:
             seen = self.support.is_seen(self.stages)[:, self.kinds(is_possible.shape[-1])]
             is_possible = np.asarray(seen_among(is_possible, seen))
         return Transitions(
-            features=features if self.kernel_map is None else np.asarray(self.kernel_map(features)),
+            features=features,
             is_possible=is_possible,
             action=trajectories.action,
             reward=reward,
@@ -279,6 +294,8 @@ class QModel:
 
     def policy(self, q_functions: QFunctions) -> Any:
         """Turn Q-functions, or a batch of them, into the policy that follows them."""
+        if self.stage_trend is not None:
+            q_functions = self.stage_trend.at_stages(q_functions)
         coefficients, root = q_functions.coefficients, q_functions.root
         seen = None if self.support is None else self.support.is_seen(self.stages)
         if self.stages == "separate":

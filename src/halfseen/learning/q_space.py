@@ -120,6 +120,9 @@ KERNEL_REGS = np.logspace(-6, 1, 15)
 
 StageMode = Literal["separate", "pooled"]
 
+TREND = "trend"
+"""Pooled stages, with a trend over them (`stage_trend`)."""
+
 
 @dataclass(frozen=True)
 class LinearQ:
@@ -259,10 +262,12 @@ def q_space_of(q_function: QSpace | Literal["linear", "quadratic", "kernel", "sm
 
 
 def stage_mode_of(stages: StageMode | str) -> StageMode:
-    """Parse a user's stage mode; refuse an invalid one."""
+    """Parse a user's stage mode, where a trend is one of pooled stages; refuse an invalid one."""
     if stages == "separate" or stages == "pooled":
         return stages
-    raise ArgumentError(f"stages is {stages!r}; give 'separate' or 'pooled'")
+    if stages == TREND:
+        return "pooled"
+    raise ArgumentError(f"stages is {stages!r}; give 'separate', 'pooled' or 'trend'")
 
 
 def reg_of(reg: Reg | int | Literal["cv"] | str) -> Reg:

@@ -133,6 +133,14 @@ def fit_each_stage(log: Transitions, regression: Regression) -> QFunctions:
     return stack_q([steps.fit(Step((stage,)))[0] for stage in range(log.action.shape[1])])
 
 
+def fit_to_values(log: Transitions, regression: Regression, others: QFunctions) -> QFunctions:
+    """Fit pooled Q to targets with V̂ of other Q-functions, whose features are the first of those of the log."""
+    steps = _Steps(_in_memory(log, regression), len(log.action), regression)
+    lacking = log.features.shape[-1] + 1 - others.coefficients.shape[-1]
+    padded = np.pad(others.coefficients, [(0, 0), (0, 0), (0, lacking)])
+    return stack_q(_pooled(steps, log.action.shape[1], padded))
+
+
 def _in_memory(log: Transitions, regression: Regression) -> Callable[[Step], StepSums]:
     largest = int(np.asarray(log.fold).max())
     if largest >= regression.num_folds:
@@ -178,8 +186,11 @@ def _separate(steps: "_Steps", horizon: int) -> list[QFunctions]:
     return fits
 
 
-def _pooled(steps: "_Steps", horizon: int) -> list[QFunctions]:
-    """Fit all stages' rows for each number of steps to go, from 0 if the horizon forces an action, else from 1."""
+def _pooled(steps: "_Steps", horizon: int, others: Float[np.ndarray, "T K F"] | None = None) -> list[QFunctions]:
+    """Fit all stages' rows for each number of steps to go, from 0 if the horizon forces an action, else from 1.
+
+    With coefficients of others, V̂ is theirs.
+    """
     every, end_action = (GOING_ON, ENDED), steps.regression.end_action
     step = Step(every)
     if end_action is not None:
@@ -188,10 +199,11 @@ def _pooled(steps: "_Steps", horizon: int) -> list[QFunctions]:
         centre = np.broadcast_to(coefficients[block], coefficients.shape)
         step = Step(every, Successor(every, q.coefficients, None, end_action), centre)
     fits = []
-    for _ in range(horizon):
+    for h in range(horizon):
         q, coefficients, errors = steps.fit(step)
         fits.append(q)
-        step = Step((GOING_ON,), Successor(every, q.coefficients, errors), coefficients)
+        following = Successor(every, q.coefficients, errors) if others is None else Successor(every, others[h], None)
+        step = Step((GOING_ON,), following, coefficients)
     return fits
 
 

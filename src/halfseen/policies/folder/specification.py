@@ -5,7 +5,7 @@ from dataclasses import fields
 from typing import Any
 
 from halfseen.learning.q_model import QModel
-from halfseen.learning.q_space import CrossValidation, KernelQ, QSpace, q_space_of
+from halfseen.learning.q_space import TREND, CrossValidation, KernelQ, QSpace, q_space_of
 from halfseen.learning.targets import DoublyRobust, Targets, named_targets
 
 
@@ -31,7 +31,7 @@ def described(model: QModel) -> dict[str, Any]:
         "truncate_at": getattr(targets, "truncate_at", None),
         "augmented": isinstance(targets, DoublyRobust),
         "outcome_covariates": getattr(targets, "outcome_covariates", None),
-        "stages": model.stages,
+        "stages": TREND if model.stage_trend else model.stages,
         "reg": "cv" if isinstance(model.reg, CrossValidation) else model.reg,
         "num_folds": getattr(model.reg, "num_folds", None),
         "random_state": int(model.random_state),
@@ -114,6 +114,7 @@ def _q_rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         horizon += f", {schema['horizon'] // num_robots} decisions of each robot"
     if "basis" in schema:
         return [("Q", f"{BASES[schema['basis']]}, {horizon}")]
+    stages = "pooled with a trend" if learner["stages"] == TREND else learner["stages"]
     is_weighted = learner["censoring"] in ("kaplan-meier", "cox", "kernel")
     by = f", by {learner['censoring_by']}" if is_weighted else ""
     pessimism = (
@@ -121,7 +122,7 @@ def _q_rows(record: Mapping[str, Any]) -> list[tuple[str, str]]:
         "evidence of few stages; less for actions that the logs often take, unless they earned less"
     )
     return [
-        ("Q", f"{learner['q_function']}, stages {learner['stages']}, {horizon}"),
+        ("Q", f"{learner['q_function']}, stages {stages}, {horizon}"),
         *([("pessimism", pessimism)] if learner["pessimism"] else []),
         ("cuts", f"{learner['censoring']}{by}{', augmented' if learner['augmented'] else ''}"),
         ("λ", _regs(**record["reg"])),
