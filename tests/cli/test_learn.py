@@ -43,7 +43,7 @@ def test_a_flat_log_is_learned_with_its_actions_by_stage_and_its_numeric_covaria
     policy = read_policy(tmp_path / "policy")
     assert policy.policy.covariates == ("x1", "x2")
     assert report["schema"]["possible"] == [["A", "B"], ["A", "C"]]
-    assert (report["seed"], report["learner"]["reg"], report["learner"]["stages"]) == (4, 0.1, "trend")
+    assert (report["seed"], report["learner"]["reg"], report["learner"]["stages"]) == (4, 0.1, "pooled")
     assert report["notes"] == [
         "it does not look at colour, which is 'red' in every stage, so it carries no information; leave it out"
     ]

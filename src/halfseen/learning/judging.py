@@ -2,8 +2,8 @@
 
 *Stages.* A pooled Q is fitted to more rows, but is biased if the effect of an action depends on the stage. Pooled
 stages, the same with a trend (`stage_trend`) and separate ones predict the same targets of held-out trajectories: those
-of pooled stages, fitted without the trajectory's own fold. A trend is chosen if it predicts better. Separate stages are
-chosen only if they do so beyond noise, because the errors are asymmetric: with few rows, separate stages lose more by
+of pooled stages, fitted without the trajectory's own fold. A trend is chosen if it predicts better by a standard error,
+separate stages if they do so by two, because the errors are asymmetric: with few rows, separate stages lose more by
 variance than pooled ones by bias.
 
 *Half-life* of recency weights. The latest fifth of the log is predicted block by block, each block from the
@@ -34,8 +34,10 @@ NUM_FOLDS, NUM_INNER_FOLDS = 5, 2
 """Folds that are held out, and of the cross-validation of λ within the rest."""
 FEWEST_HELD_OUT = 20
 """Fewest trajectories for a choice between stage modes."""
-CLEARLY_SEPARATE, CLEARLY_WORSE = 2.0, 1.0
-"""Standard errors by which separate stages must predict better to be chosen, and a half-life worse to be rejected."""
+CLEARLY_SEPARATE, CLEARLY_TREND, CLEARLY_WORSE = 2.0, 1.0, 1.0
+"""Standard errors by which separate stages or a trend must predict better to be chosen, and a half-life worse to be
+rejected."""
+UNIT = "squared error a trajectory"
 SHARES = (1 / 2, 1 / 4, 1 / 8, 1 / 16)
 """Half-lives to try, as fractions of the log."""
 LATEST, NUM_BLOCKS = 1 / 5, 4
@@ -126,21 +128,19 @@ def with_stages(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, 
     reg = CrossValidation(NUM_INNER_FOLDS) if isinstance(model.reg, CrossValidation) else model.reg
     pooled = replace(model, stages="pooled", pessimism=0.0, reg=reg)
     of_trend, of_separate = gains_over_pooled(pooled, trajectories)
-    has_trend = bool(of_trend.mean() > 0)
+    by_trend = _mean_and_error(of_trend)
+    has_trend = by_trend[0] > CLEARLY_TREND * by_trend[1]
     gain, error = _mean_and_error(of_separate - of_trend if has_trend else of_separate)
     if gain > CLEARLY_SEPARATE * error:
         than = "pooled ones with a trend" if has_trend else "pooled ones"
-        why = f"stages are separate: held out, they predict better than {than} {_by(gain, error)}"
-        return replace(model, stages="separate"), (*model.chosen, why)
-    rest = f"separate ones do not clearly predict better ({_by(gain, error)})"
-    if not has_trend:
-        return replace(model, stages="pooled"), (*model.chosen, f"stages are pooled: held out, {rest}")
-    why = f"stages are pooled with a trend over them: held out, it predicts better {_by(*_mean_and_error(of_trend))}"
-    return model.with_trend(trajectories.features.shape[-1]), (*model.chosen, f"{why}, and {rest}")
-
-
-def _by(gain: float, error: float) -> str:
-    return f"by {gain:.3g} ± {error:.2g} squared error a trajectory"
+        why = f"stages are separate: held out, they predict better than {than} by {gain:.3g} ± {error:.2g}"
+        return replace(model, stages="separate"), (*model.chosen, f"{why} {UNIT}")
+    numbers = f"{by_trend[0]:.3g} ± {by_trend[1]:.2g} and {gain:.3g} ± {error:.2g} {UNIT}"
+    if has_trend:
+        why = "stages are pooled with a trend over them: held out, it predicts better, and separate ones not clearly so"
+        return model.with_trend(trajectories.features.shape[-1]), (*model.chosen, f"{why} (by {numbers})")
+    why = "stages are pooled: held out, neither a trend over them nor separate ones predict clearly better"
+    return replace(model, stages="pooled"), (*model.chosen, f"{why} (by {numbers})")
 
 
 def gains_over_pooled(pooled: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarray, "2 n"]:

@@ -85,8 +85,8 @@ class CensoredQLearner(Estimator):
         Kaplan–Meier weights if the action of a cut stage is not known.
     stages
         ``"separate"``: one Q per stage. ``"pooled"``: one per number of steps to go, fitted to all rows. ``"trend"``:
-        pooled, with effects that change linearly from stage to stage (`stage_trend`). ``"auto"``: what predicts best,
-        but separate only if clearly so (`judging`).
+        pooled, with effects that change linearly from stage to stage (`stage_trend`). ``"auto"``: pooled, unless
+        another predicts clearly better (`judging`).
     reg
         λ; ``"cv"`` or ``CrossValidation(…)``: chosen for each regression and block by weighted cross-validation.
     pessimism
