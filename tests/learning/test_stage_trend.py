@@ -6,7 +6,7 @@ import pytest
 from trials import log_of
 
 from halfseen.errors import ArgumentError
-from halfseen.learning import CensoredQLearner
+from halfseen.learning import CensoredQLearner, bootstrap
 from halfseen.learning.q_space import SMOOTH, KernelQ, LinearQ, QuadraticQ
 from halfseen.learning.recursion import QFunctions
 from halfseen.learning.stage_trend import centred_stages, stage_trend_of
@@ -95,6 +95,16 @@ def test_an_imputed_outcome_has_the_trend_too():
         for censoring in ("none", "buckley-james")
     ]
     np.testing.assert_allclose(*q, atol=1e-8)
+
+
+def test_resampling_and_a_half_life_keep_the_trend():
+    """Rows of the bootstrap have weights and imputation of their own."""
+    x, action, reward = three_stages(40)
+    log = log_of(action.ravel(), reward.ravel(), num_stages=3, is_seen=np.arange(120) % 12 != 11, x=x.ravel())
+    learner = CensoredQLearner(3, ["A", "B"], ["x"], stages="trend", half_life="auto").fit(log)
+    low, high = bootstrap(learner, log, num_replicates=3).q_interval(log.stages[:5], 2)
+    assert np.isfinite(low).all()
+    assert (low <= high).all()
 
 
 def test_tables_have_no_trend():

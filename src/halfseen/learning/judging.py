@@ -9,7 +9,7 @@ variance than pooled ones by bias.
 *Half-life* of recency weights. The latest fifth of the log is predicted block by block, each block from the
 trajectories before it, in the function class and with the weights of eq. 3. The targets are those of completed stages,
 R_t + V̂(S_{t+1}), with one V̂ for all half-lives, learned with equal weights from the trajectories before the fifth; so
-the future effects of an action count, too. If some half-life predicts better than none, the longest that does not
+the future effects of an action count, too. Of half-lives that predict better than none, the longest that does not
 predict clearly worse than the best is chosen, because it leaves the most data.
 """
 
@@ -185,7 +185,8 @@ def with_half_life(
     best = gains[int(np.argmax(gains.mean(axis=1)))]
     lacks = [_mean_and_error(best - each) for each in gains]
     # The longest half-life that does not predict clearly worse than the best leaves the most data.
-    chosen = next(number for number, (lack, error) in enumerate(lacks) if lack <= CLEARLY_WORSE * error)
+    is_better = gains.mean(axis=1) > 0.0
+    chosen = next((h for h, (lack, error) in enumerate(lacks) if is_better[h] and lack <= CLEARLY_WORSE * error), 0)
     gain, error = _mean_and_error(gains[chosen])
     found = f"({gain:.3g} ± {error:.2g} squared error a trajectory)"
     if best.mean() <= 0.0:

@@ -235,6 +235,8 @@ class QModel:
             imputed = imputation(trajectories, self.cut_model, self._outcome_features(trajectories), blocks, durations)
             if self.kernel_map is not None:
                 imputed = imputed._replace(is_used=np.ones(self.kernel_map.num_features))
+            if self.stage_trend is not None:
+                imputed = self.stage_trend.used_by(imputed)
         return self.targets.weights(trajectories, self.cut_model), imputed
 
     def weighted(
@@ -251,7 +253,6 @@ class QModel:
         features = features if self.kernel_map is None else np.asarray(self.kernel_map(features))
         if self.stage_trend is not None:
             features = np.concatenate([features, self.stage_trend.of(features)], axis=-1)
-            imputed = None if imputed is None else self.stage_trend.used_by(imputed)
         if self.support is not None:
             seen = self.support.is_seen(self.stages)[:, self.kinds(is_possible.shape[-1])]
             is_possible = np.asarray(seen_among(is_possible, seen))
