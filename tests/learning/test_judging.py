@@ -46,3 +46,13 @@ def test_gains_over_pooled_stages_are_those_of_loops():
             errors = [(each - target[:, t]) ** 2 for each in q]
             expected[:, ~some] += np.array([errors[0] - errors[1], errors[0] - errors[2]])[:, ~some]
     np.testing.assert_allclose(found, expected, atol=1e-8)
+
+
+def test_a_half_life_that_predicts_worse_than_none_is_not_chosen(monkeypatch):
+    """The longest one is worse, though not clearly, as its gains are uncertain."""
+    gains = np.stack([np.tile([-101.0, 99.0], 50), np.tile([0.0, 1.0], 50), np.zeros(100), np.zeros(100)])
+    monkeypatch.setattr("halfseen.learning.judging._gains_of_recency", lambda model, trajectories: gains)
+    log = log_of(np.resize(["A", "B"], 100), np.arange(100.0), x=np.arange(100.0) % 7)
+    learner = CensoredQLearner(1, ["A", "B"], ["x"], half_life="auto").fit(log)
+    assert learner.model_.half_life == 25.0
+    assert "better (0.5 ± 0.05 squared error a trajectory)" in learner.chosen_[-1]

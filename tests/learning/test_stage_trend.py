@@ -49,59 +49,43 @@ def test_in_its_stage_each_q_is_a_function_of_the_state_alone(space, has_root):
             np.testing.assert_allclose(*(np.linalg.norm(each, axis=-2) for each in along), atol=1e-10)
 
 
-def three_stages(num_trajectories=60, seed=0):
+def cut_log(num_trajectories, seed=0, noise=1.0):
+    """Three stages in which A is worth x times the stage before; a quarter of the last ones is cut."""
     rng = np.random.default_rng(seed)
-    x, action = rng.normal(size=(num_trajectories, 3)), rng.choice(["A", "B"], (num_trajectories, 3))
-    return x, action, rng.normal(size=(num_trajectories, 3)) + x * (action == "A") * np.arange(3)
+    x, stage = rng.normal(size=3 * num_trajectories), np.tile([1.0, 2.0, 3.0], num_trajectories)
+    action = rng.choice(["A", "B"], len(x))
+    reward = x * (action == "A") * (stage - 1.0) + noise * rng.normal(size=len(x))
+    late = centred_stages(3)[(stage - 1).astype(int)]
+    is_seen = np.arange(len(x)) % 12 != 11
+    return log_of(action, reward, num_stages=3, is_seen=is_seen, x=x, late=late, late_x=late * x)
 
 
-def design(x, stage):
-    late = np.full_like(x, (stage - 2) / np.sqrt(2 / 3))
-    return np.column_stack([np.ones_like(x), x, late, late * x])
+@pytest.mark.parametrize("changed", [{"reg": 0.0}, {"pessimism": 0.7}, {"reg": 0.1, "half_life": 20}], ids=str)
+def test_it_is_one_more_covariate_with_its_products(changed):
+    """Those are columns of the log here, of pooled stages."""
+    log = cut_log(60)
+    settings = {"q_function": "linear", "censoring": "kaplan-meier", **changed}
+    trend = CensoredQLearner(3, ["A", "B"], ["x"], stages="trend", **settings).fit(log)
+    column = CensoredQLearner(3, ["A", "B"], ["x", "late", "late_x"], stages="pooled", **settings).fit(log)
+    for stage in (1, 2, 3):
+        rows = log.stages[log.stages["stage"] == stage]
+        for name in ("q_values", "lower_bounds"):
+            found, expected = (getattr(each.policy_, name)(rows, stage) for each in (trend, column))
+            np.testing.assert_allclose(found, expected, atol=1e-8)
 
 
-def test_without_a_penalty_it_is_least_squares_backwards():
-    """Rows that the horizon ended say nothing of a longer future."""
-    x, action, reward = three_stages()
-    log = log_of(action.ravel(), reward.ravel(), num_stages=3, x=x.ravel())
-    plain = {"q_function": "linear", "censoring": "none", "pessimism": 0.0, "reg": 0.0}
-    learner = CensoredQLearner(3, ["A", "B"], ["x"], stages="trend", **plain).fit(log)
-    value, asked = np.zeros((len(x), 3)), np.array([-1.0, 0.0, 2.0])
-    for to_go in (1, 2, 3):
-        num_stages = 3 if to_go == 1 else 2
-        target = reward + np.column_stack([value[:, 1:], np.zeros(len(x))])
-        rows = [design(x[:, t], t + 1) for t in range(num_stages)]
-        fit = {}
-        for a in "AB":
-            taken = [action[:, t] == a for t in range(num_stages)]
-            y = np.concatenate([target[rows_of, t] for t, rows_of in enumerate(taken)])
-            of_a = np.concatenate([row[rows_of] for row, rows_of in zip(rows, taken, strict=True)])
-            fit[a] = np.linalg.lstsq(of_a, y, rcond=None)[0]
-        stage = 4 - to_go
-        expected = np.column_stack([design(asked, stage) @ fit[a] for a in "AB"])
-        np.testing.assert_allclose(learner.q_values(pd.DataFrame({"x": asked}), stage), expected, atol=1e-8)
-        value = np.column_stack(
-            [np.maximum(design(x[:, t], t + 1) @ fit["A"], design(x[:, t], t + 1) @ fit["B"]) for t in range(3)]
-        )
+def test_outcomes_are_imputed_with_it():
+    """Without noise, what is cut is known from the rest, if it may depend on the stage."""
+    log = cut_log(60, noise=0.0)
+    settings = {"q_function": "linear", "censoring": "buckley-james", "pessimism": 0.0, "reg": 0.0}
+    learner = CensoredQLearner(3, ["A", "B"], ["x"], stages="trend", **settings).fit(log)
+    asked = pd.DataFrame({"x": [-1.0, 0.0, 2.0]})
+    np.testing.assert_allclose(learner.q_values(asked, 3), np.outer(asked["x"], [2.0, 0.0]), atol=1e-6)
 
 
-def test_an_imputed_outcome_has_the_trend_too():
-    """With nothing cut, imputation changes nothing."""
-    x, action, reward = three_stages(30)
-    log = log_of(action.ravel(), reward.ravel(), num_stages=3, x=x.ravel())
-    settings = {"q_function": "smooth", "pessimism": 0.0, "reg": 1e-3, "stages": "trend"}
-    q = [
-        CensoredQLearner(3, ["A", "B"], ["x"], censoring=censoring, **settings).fit(log).q_values(log.stages, 1)
-        for censoring in ("none", "buckley-james")
-    ]
-    np.testing.assert_allclose(*q, atol=1e-8)
-
-
-def test_resampling_and_a_half_life_keep_the_trend():
-    """Rows of the bootstrap have weights and imputation of their own."""
-    x, action, reward = three_stages(40)
-    log = log_of(action.ravel(), reward.ravel(), num_stages=3, is_seen=np.arange(120) % 12 != 11, x=x.ravel())
-    learner = CensoredQLearner(3, ["A", "B"], ["x"], stages="trend", half_life="auto").fit(log)
+def test_resampled_logs_impute_with_it():
+    log = cut_log(40)
+    learner = CensoredQLearner(3, ["A", "B"], ["x"], stages="trend").fit(log)
     low, high = bootstrap(learner, log, num_replicates=3).q_interval(log.stages[:5], 2)
     assert np.isfinite(low).all()
     assert (low <= high).all()

@@ -155,14 +155,14 @@ def gains_over_pooled(pooled: QModel, trajectories: TrajectoryArrays) -> Float[n
         counts = (fold != k).astype(np.float64)
         some = log.counted(counts)
         fits = fit_q(some, regression)
-        pooled = judged(fits, log, blocks, "pooled", log.reward)
+        plain = judged(fits, log, blocks, "pooled", log.reward)
         # All are fitted to the targets of the pooled ones.
-        to_be = some._replace(reward=targets(some, pooled.value))
+        to_be = some._replace(reward=targets(some, plain.value))
         separate = judged(fit_each_stage(to_be, regression), log, blocks, "separate", log.reward)
         trend = judged(
             fit_to_values(of_trend.counted(counts), regression, fits), of_trend, blocks, "pooled", log.reward
         )
-        errors = [(each.taken - pooled.target) ** 2 for each in (pooled, trend, separate)]
+        errors = [(each.taken - plain.target) ** 2 for each in (plain, trend, separate)]
         return np.stack([np.where(seen > 0, seen * (errors[0] - each), 0.0).sum(axis=1) for each in errors[1:]])
 
     with one_thread():
@@ -183,15 +183,15 @@ def with_half_life(
         return plain, (f"all trajectories have equal weight: {why}",)
     gains = _gains_of_recency(replace(plain, pessimism=0.0, has_many_actions=False), trajectories)
     best = gains[int(np.argmax(gains.mean(axis=1)))]
-    lacks = [_mean_and_error(best - each) for each in gains]
-    # The longest half-life that does not predict clearly worse than the best leaves the most data.
-    is_better = gains.mean(axis=1) > 0.0
-    chosen = next((h for h, (lack, error) in enumerate(lacks) if is_better[h] and lack <= CLEARLY_WORSE * error), 0)
-    gain, error = _mean_and_error(gains[chosen])
-    found = f"({gain:.3g} ± {error:.2g} squared error a trajectory)"
     if best.mean() <= 0.0:
-        why = f"no half-life predicts the latest ones better {found}"
+        gain, error = _mean_and_error(best)
+        why = f"no half-life predicts the latest ones better ({gain:.3g} ± {error:.2g} {UNIT})"
         return plain, (f"all trajectories have equal weight: {why}",)
+    lacks, is_better = [_mean_and_error(best - each) for each in gains], gains.mean(axis=1) > 0.0
+    # The longest half-life that does not predict clearly worse than the best leaves the most data.
+    chosen = next(h for h, (lack, error) in enumerate(lacks) if is_better[h] and lack <= CLEARLY_WORSE * error)
+    gain, error = _mean_and_error(gains[chosen])
+    found = f"({gain:.3g} ± {error:.2g} {UNIT})"
     half_life = float(max(round(SHARES[chosen] * num_trajectories), 1))
     why = (
         f"the weight of a trajectory halves every {half_life:g} trajectories: this predicts the latest ones better "
