@@ -48,6 +48,19 @@ def test_gains_over_pooled_stages_are_those_of_loops():
     np.testing.assert_allclose(found, expected, atol=1e-8)
 
 
+def test_the_action_of_a_cut_stage_has_no_say_in_how_stages_are_pooled():
+    rng = np.random.default_rng(1)
+    action, reward, x = rng.choice(["A", "B"], 120), rng.normal(size=120), rng.normal(size=120)
+    is_seen = (np.arange(120) % 2 == 0) | (rng.random(120) < 0.6)
+    other = np.where(is_seen, action, np.where(action == "A", "B", "A"))
+    found = []
+    for each in (action, other):
+        log = log_of(each, reward, num_stages=2, x=x, is_seen=is_seen)
+        found.append(gains_over_pooled(*CensoredQLearner(2, ["A", "B"], ["x"], pessimism=0.0).compose(log).fitted(log)))
+    np.testing.assert_allclose(*found, atol=1e-9)
+    assert np.ptp(found[0]) > 0.1
+
+
 def test_a_half_life_that_predicts_worse_than_none_is_not_chosen(monkeypatch):
     """The longest one is worse, though not clearly, as its gains are uncertain."""
     gains = np.stack([np.tile([-101.0, 99.0], 50), np.tile([0.0, 1.0], 50), np.zeros(100), np.zeros(100)])

@@ -144,12 +144,18 @@ def with_stages(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, 
 
 
 def gains_over_pooled(pooled: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarray, "2 n"]:
-    """Squared error of pooled stages minus that with a trend, and of separate ones, of each trajectory held out."""
-    with_trend = pooled.with_trend(trajectories.features.shape[-1])
-    log, of_trend = pooled.transitions(trajectories), with_trend.transitions(trajectories)
+    """Squared error of pooled stages minus that with a trend, and of separate ones, of each trajectory held out.
+
+    Only completed stages are predicted, so only they are learned from.
+    """
+    weight, imputed = pooled.weights_and_imputation(trajectories)
+    seen = weight if imputed is None else weight * imputed.outcome_weight
+    modes = pooled, pooled.with_trend(trajectories.features.shape[-1])
+    inner = pooled.folds(trajectories.num_trajectories)
+    log, of_trend = (mode.weighted(trajectories, seen, None, inner) for mode in modes)
     regression = pooled.regression(trajectories.num_trajectories, log.is_possible.shape[-1])
     fold = np.random.default_rng([pooled.random_state, 2]).permutation(trajectories.num_trajectories) % NUM_FOLDS
-    blocks, seen = regression.block_of_action, _seen(log)
+    blocks = regression.block_of_action
 
     def gains(k: int) -> Float[np.ndarray, "2 n"]:
         counts = (fold != k).astype(np.float64)
