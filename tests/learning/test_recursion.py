@@ -171,6 +171,20 @@ def test_it_is_scikit_learns_ridge_on_scaled_features(rows, reg):
         assert coefficients[block, 0] == pytest.approx(ridge.intercept_, rel=1e-7)
 
 
+@pytest.mark.parametrize("reg", [0.0, 0.1])
+@pytest.mark.parametrize("num_rows", [1, 2, 6, 11, 12, 30])
+def test_fewer_rows_than_features_give_the_smallest_coefficients(num_rows, reg):
+    rng = np.random.default_rng(num_rows)
+    x, y = rng.normal(size=(num_rows, 20)) * rng.uniform(0.1, 10.0, 20), rng.normal(size=num_rows)
+    gram, cross = sums(x, np.zeros(num_rows, int), np.ones(num_rows), np.zeros(num_rows, int), y, 1)
+    found = solve(ridge_of(gram, np.array([reg]), num_rows), cross)[0][0]
+    spread = np.where(num_rows > 1, x.std(axis=0), 1.0)
+    scaled, centred = (x - x.mean(axis=0)) / spread, y - y.mean()
+    beta = scaled.T @ np.linalg.pinv(scaled @ scaled.T + num_rows * reg * np.eye(num_rows), rcond=1e-9) @ centred
+    np.testing.assert_allclose(found[1:] * spread, beta, atol=1e-8)
+    assert found[0] == pytest.approx(y.mean() - x.mean(axis=0) @ found[1:])
+
+
 @pytest.mark.parametrize("num_folds", [1, NUM_FOLDS])
 def test_a_prior_of_one_row_is_a_penalty_of_one(num_folds):
     """Two rows that lie a hair beyond 0 do not decide a slope of thousands; one that is well known stays."""
