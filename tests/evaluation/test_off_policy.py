@@ -348,3 +348,20 @@ def test_arguments_of_another_type_are_refused_in_one_line(changed, message):
 def test_a_sequence_that_is_empty_or_text_is_refused(sequence):
     with refused_type("give a tuple of names, one for each stage"):
         FixedSequence(sequence)
+
+
+def test_the_order_in_which_actions_are_given_changes_nothing():
+    rng, n, names = np.random.default_rng(4), 120, ["wait", "act", "stop"]
+    x, action, ended_s = rng.random(n), rng.choice(names, n), rng.exponential(2.0, n)
+    stages = {"trajectory": np.arange(n), "stage": 1, "x": x, "action": action, "probability": 1 / 3}
+    cut_s = rng.exponential(np.where(action == "wait", 2.0, 6.0))
+    stages |= {"elapsed_s": np.where(ended_s <= cut_s, ended_s, np.nan)}
+    stages |= {"reward": np.where(ended_s <= cut_s, x + (action == "act") + rng.normal(size=n), np.nan)}
+    ends = {"end_s": np.minimum(ended_s, cut_s), "ending": np.where(ended_s <= cut_s, "finished", "cut")}
+    logs = Logs(pd.DataFrame(stages), pd.DataFrame({"trajectory": np.arange(n)} | ends))
+    found = []
+    for actions in (names, names[::-1]):
+        policy = CensoredQLearner(1, actions, ["x"], q_function="linear", reg=0.1).fit(logs).policy_
+        found.append(evaluate(policy, logs, against="logging"))
+    assert found[0].doubly_robust.value == pytest.approx(found[1].doubly_robust.value, rel=1e-9)
+    assert found[0].verdict == found[1].verdict

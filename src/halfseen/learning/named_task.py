@@ -151,7 +151,9 @@ class NamedActions:
         return np.isin(np.array(self.looks_at.sources), list(names)).astype(np.float64)
 
     def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_trajectory: bool) -> pd.DataFrame:
-        """Columns of the stages as numbers, and indicators of all actions but the last; NaN if the action is not known.
+        """Columns of the stages as numbers, and indicators of all actions but the first in sorted order.
+
+        They are NaN if the action is not known.
 
         Raises
         ------
@@ -165,8 +167,10 @@ class NamedActions:
         if missing:
             there = ", ".join(logs.stages.columns) + did_you_mean(missing[0], logs.stages.columns)
             raise LogError(f"the stages have no column {missing[0]!r}; they have {there}")
+        # A penalty on the indicators must not depend on the order in which the actions are given.
+        contrasted = sorted(self.names, key=str)[1:]
         parts = [
-            action_indicators(logs.stages[ACTION], self.names) if name == ACTION else self._numbers(logs, name)
+            action_indicators(logs.stages[ACTION], contrasted) if name == ACTION else self._numbers(logs, name)
             for name in columns
         ]
         return pd.concat([pd.DataFrame(index=logs.stages.index), *parts], axis=1)
@@ -263,7 +267,7 @@ class NamedActions:
 
 
 def action_indicators(taken: Any, actions: Sequence[Hashable]) -> pd.DataFrame:
-    """Indicators of all actions but the last, ``action=NAME``; NaN if the action is not known."""
+    """Indicators of actions, ``action=NAME``; NaN if the action is not known."""
     is_unknown = taken.isna().to_numpy()
-    columns = {f"action={name}": np.where(is_unknown, np.nan, taken.eq(name).to_numpy(float)) for name in actions[:-1]}
+    columns = {f"action={name}": np.where(is_unknown, np.nan, taken.eq(name).to_numpy(float)) for name in actions}
     return pd.DataFrame(columns, index=taken.index)

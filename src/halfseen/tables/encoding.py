@@ -171,7 +171,8 @@ def table_covariates(logs: Logs, columns: Sequence[str]) -> pd.DataFrame:
     objects: Any = logs.objects
     targets = objects[[*keys, "object", "occlusion"]].rename(columns={"occlusion": "target_occlusion"})
     known = known.merge(targets, on=[*keys, "object"], how="left").drop(columns=[*keys, "object"]).fillna(0.0)
-    parts = [action_indicators(logs.stages[ACTION], _VERBS) if name == ACTION else known[[name]] for name in columns]
+    verbs = action_indicators(logs.stages[ACTION], _VERBS[:-1])
+    parts = [verbs if name == ACTION else known[[name]] for name in columns]
     return pd.concat([known[[]], *parts], axis=1)
 
 
