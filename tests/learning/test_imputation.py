@@ -270,7 +270,7 @@ def ages(logs):
 def test_actions_can_hasten_cuts(known):
     fitted = learner(censoring=Weighted(Cox(ridge=0.1), by="pooled")).fit(known).cut_model_
     model, columns = fitted.fitted[0]
-    assert [name for name, _ in zip(model.covariates_, columns, strict=True)] == ["s1_1", "s2_1", "action=A"]
+    assert [name for name, _ in zip(model.covariates_, columns, strict=True)] == ["s1_1", "s2_1", "action=B"]
     rows = ages(known)
     frame = known.stages[["s1_1", "s2_1"]].assign(a=(known.stages["action"] == "A").astype(float))
     by_hand = Cox(ridge=0.1).fit(rows["age"], rows["is_completed"], frame.to_numpy())
@@ -279,7 +279,7 @@ def test_actions_can_hasten_cuts(known):
 
 def test_what_cuts_cannot_depend_on_is_refused(trial, known):
     with pytest.raises(
-        ArgumentError, match=r"trajectory \d+, stage \d: action=A is not known, but the model of the cuts uses it"
+        ArgumentError, match=r"trajectory \d+, stage \d: action=B is not known, but the model of the cuts uses it"
     ):
         learner(censoring=Weighted("cox", by="stage")).fit(trial)
     with pytest.raises(ArgumentError, match="none of those of all stages differs between trajectories"):

@@ -7,7 +7,7 @@ from sklearn.linear_model import Ridge
 from halfseen.errors import ArgumentError
 from halfseen.learning.judging import judged
 from halfseen.learning.recursion import Regression, fit_q
-from halfseen.learning.ridge import ridge_of, solve, with_prior
+from halfseen.learning.ridge import ridge_of, solve, standard_errors, with_prior
 from halfseen.learning.rows import Transitions
 
 BLOCKS = (0, 1, 1, 2)
@@ -183,6 +183,20 @@ def test_fewer_rows_than_features_give_the_smallest_coefficients(num_rows, reg):
     beta = scaled.T @ np.linalg.pinv(scaled @ scaled.T + num_rows * reg * np.eye(num_rows), rcond=1e-9) @ centred
     np.testing.assert_allclose(found[1:] * spread, beta, atol=1e-8)
     assert found[0] == pytest.approx(y.mean() - x.mean(axis=0) @ found[1:])
+
+
+@pytest.mark.parametrize("num_rows", [2, 6, 7, 12, 30])
+def test_standard_errors_grow_where_no_row_is(num_rows):
+    rng = np.random.default_rng(num_rows)
+    x, asked = rng.normal(size=(2, num_rows, 20)) * rng.uniform(0.1, 10.0, 20)
+    gram, _ = sums(x, np.zeros(num_rows, int), np.ones(num_rows), np.zeros(num_rows, int), x[:, 0], 1)
+    counts = np.array([[num_rows], [num_rows], [num_rows]], dtype=float)
+    errors = standard_errors(ridge_of(gram, np.array([0.1]), num_rows), np.array([2.0]), np.array([5.0]), counts)
+    z, apart = ((each - x.mean(axis=0)) / x.std(axis=0) for each in (x, asked))
+    inverse = np.linalg.inv(z.T @ z + 2.0 * np.eye(20))
+    expected = np.sqrt(1.0 / num_rows + np.einsum("rf,fg,rg->r", apart, inverse, apart))
+    found = np.linalg.norm(np.insert(asked, 0, 1.0, axis=1) @ errors.root[0], axis=1)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize("num_folds", [1, NUM_FOLDS])

@@ -25,7 +25,6 @@ Gaussian process), so it grows where no completed stage is near [AbbasiYadkori20
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack
 
 from halfseen.shapes import Float, Int
 
@@ -100,27 +99,13 @@ def _diagonalised(
     of_all = np.maximum(total[:, :1, 0], _TINY)
     scale = np.sqrt(np.where(is_varied, variance / of_all if is_scaled else 1.0, np.inf))
     scaled = centred / (scale[:, :, None] * scale[:, None, :])
-    spread, vectors = _eigen(scaled)
+    # LAPACK does not accept empty matrices, which a Q without covariates has.
+    spread, vectors = np.linalg.eigh(scaled) if scaled.size else (scaled.sum(axis=-1), scaled)
     basis = np.zeros_like(train)
     basis[..., 0, 0] = 1.0
     basis[..., 1:, 1:] = vectors / scale[:, :, None]
     basis[..., 0, 1:] = -np.matmul(mean[..., None, :], basis[..., 1:, 1:])[..., 0, :]
     return basis, np.concatenate([mass[..., None], spread], axis=-1)
-
-
-def _eigen(grams: Float[np.ndarray, "*S P P"]) -> tuple[Float[np.ndarray, "*S P"], Float[np.ndarray, "*S P P"]]:
-    """Eigenvalues and eigenvectors; of fewer rows than features, those of the range alone, and 0."""
-    values, vectors = np.zeros(grams.shape[:-1]), np.zeros(grams.shape)
-    smallest = RANK_TOLERANCE / max(grams.shape[-1], 1)
-    for at in np.ndindex(grams.shape[:-2]):
-        gram = grams[at]
-        factor, order, rank, _ = lapack.dpstrf(gram, lower=1, tol=smallest * gram.diagonal().max(initial=0.0))
-        if 2 * rank > len(gram):
-            values[at], vectors[at] = np.linalg.eigh(gram)
-        elif rank:
-            left, singular, _ = np.linalg.svd(np.tril(factor[:, :rank]), full_matrices=False)
-            values[at][:rank], vectors[at][order - 1, :rank] = singular**2, left
-    return values, vectors
 
 
 def with_prior(gram: Float[np.ndarray, "V K F F"], num_last: int) -> Float[np.ndarray, "V K F F"]:
