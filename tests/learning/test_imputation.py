@@ -272,7 +272,7 @@ def test_actions_can_hasten_cuts(known):
     model, columns = fitted.fitted[0]
     assert [name for name, _ in zip(model.covariates_, columns, strict=True)] == ["s1_1", "s2_1", "action=B"]
     rows = ages(known)
-    frame = known.stages[["s1_1", "s2_1"]].assign(a=(known.stages["action"] == "A").astype(float))
+    frame = known.stages[["s1_1", "s2_1"]].assign(b=(known.stages["action"] == "B").astype(float))
     by_hand = Cox(ridge=0.1).fit(rows["age"], rows["is_completed"], frame.to_numpy())
     np.testing.assert_allclose(model.coefficients_, by_hand.coefficients_, atol=1e-9)
 

@@ -61,7 +61,6 @@ CASES = {
     **{
         f"{log}/{name}": (log, how) for log in ("cell", "trial", "given tables", "tables") for name, how in FOUR.items()
     },
-    "cell/auto": ("cell", {}),
     "cell/pooled-weighted-pessimistic": ("cell", FOUR["pooled-weighted"] | {"pessimism": 1.0}),
     "cell/pooled-doubly-robust": ("cell", {"stages": "pooled", "censoring": DoublyRobust("kaplan-meier")}),
     "cell/separate-linear": ("cell", {"stages": "separate", "q_function": "linear"}),

@@ -58,13 +58,13 @@ def test_a_fit_is_what_was_recorded(name):
 
 @pytest.fixture(scope="module")
 def cell():
-    return fitted("cell/auto")
+    return fitted("cell/pooled-imputed")
 
 
 @pytest.mark.slow
 def test_bootstrap_draws_are_what_was_recorded(cell):
     again = bootstrap(cell, read_logs(FOLDERS["cell"]), 20)
-    found = np.asarray(again.replicates.coefficients) * signs_of(cell, recorded()["cell/auto/coefficients"])
+    found = np.asarray(again.replicates.coefficients) * signs_of(cell, recorded()["cell/pooled-imputed/coefficients"])
     assert found.shape[0] == 20
     assert_close(found[:3], recorded()["cell/bootstrap/coefficients"], "coefficients")
 
