@@ -154,6 +154,7 @@ def test_intervals_hold_the_truth_where_tables_and_what_was_learned_vary():
     assert np.mean(inside) > 0.93
 
 
+@pytest.mark.slow
 def test_tables_hold_every_model_and_size_and_an_attempt_that_was_held_out_twice_counts_once(pieces, tables):
     assert len(tables["attempts_scores"]) == len(MODELS) * 2
     for _, pair in tables["attempts_tests"].groupby(["model", "rival"]):
