@@ -398,3 +398,9 @@ def test_true_in_two_spellings_is_told(tables):
     assert found(tables)["truths-mixed"].startswith("covariate is_wet is 'True' and '1' and 'False', each of which")
     tables["stages"]["is_wet"] = np.where(words == "1", "True", words)
     assert found(tables) == {}
+
+
+@pytest.mark.parametrize("cell", [[0.5, 1.0], [[{"a": True}]], {"a": 1.0}], ids=["list", "nested", "record"])
+def test_lists_and_records_in_a_column_are_not_counted(tables, cell):
+    tables["stages"]["scan"] = pd.Series([cell] * len(tables["stages"]), dtype=object)
+    assert found(tables) == {}

@@ -196,7 +196,9 @@ def _never_completed(logs: Logs) -> Iterator[str]:
     is_done = logs.stages["elapsed_s"].notna()
     for name in logs.stage_covariates:
         values: Any = logs.stages[name].dropna()
-        kinds = values.unique() if can_be_counted(values) else ()
+        if not can_be_counted(values):
+            continue
+        kinds = values.unique()
         most = 2 if is_number(values) else MOST_COUNTED
         if len(kinds) <= most and (lost := {*kinds} - {*values[is_done].unique()}):
             yield (
