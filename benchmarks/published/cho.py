@@ -9,7 +9,7 @@ again, with noise, until the tumour calls for the next decision. Learners see Z 
 are judged by E min(T, 10) and S(5) of the same patients, uncut: each patient counts with the probability of being
 alive, so that 1,000 of them tell as much as several times as many deaths. *Default, linear* imputes as the default
 does, but has a linear Q for each stage, and no pessimism. When the default has a trend over the stages, and when it
-does not follow the log, was chosen on logs of seeds 500 to 707 of this world, too; here they begin at 0.
+does not follow the log, was chosen on logs of seeds 500 to 727 of this world, too; here they begin at 0.
 """
 
 from collections.abc import Callable, Sequence

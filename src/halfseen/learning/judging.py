@@ -23,7 +23,7 @@ from halfseen.errors import warn
 from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import CrossValidation, StageMode
 from halfseen.learning.recursion import QFunctions, fit_each_stage, fit_q, fit_to_values
-from halfseen.learning.rows import TrajectoryArrays, Transitions, q_values
+from halfseen.learning.rows import Imputation, TrajectoryArrays, Transitions, q_values
 from halfseen.learning.sample import FEWEST_TRAJECTORIES, recency_weights
 from halfseen.learning.sums import or_nothing
 from halfseen.logs.data_quality import text_order
@@ -149,7 +149,7 @@ def gains_over_pooled(pooled: QModel, trajectories: TrajectoryArrays) -> Float[n
     Only completed stages are predicted, so only they are learned from.
     """
     weight, imputed = pooled.weights_and_imputation(trajectories)
-    seen = weight if imputed is None else weight * imputed.outcome_weight
+    seen = _seen(weight, imputed)
     modes = pooled, pooled.with_trend(trajectories.features.shape[-1])
     inner = pooled.folds(trajectories.num_trajectories)
     log, of_trend = (mode.weighted(trajectories, seen, None, inner) for mode in modes)
@@ -212,7 +212,7 @@ def _gains_of_recency(plain: QModel, trajectories: TrajectoryArrays) -> Float[np
     regression = plain.regression(num, log.is_possible.shape[-1])
     ends = np.linspace(num * (1.0 - LATEST), num, NUM_BLOCKS + 1).astype(int).tolist()
     later, blocks = slice(ends[0], None), regression.block_of_action
-    seen = _seen(log)[later]
+    seen = _seen(log.weight, log.imputation)[later]
 
     def before(end: int, half_life: float | None = None) -> Float[np.ndarray, " n"]:
         """Weights for learning from the trajectories before `end`."""
@@ -234,9 +234,9 @@ def _gains_of_recency(plain: QModel, trajectories: TrajectoryArrays) -> Float[np
         return np.stack([none - errors(share * num) for share in SHARES])
 
 
-def _seen(log: Transitions) -> Float[np.ndarray, "n T"]:
+def _seen(weight: Float[np.ndarray, "n T"], imputed: Imputation | None) -> Float[np.ndarray, "n T"]:
     """Weights of completed stages."""
-    return log.weight if log.imputation is None else log.weight * log.imputation.outcome_weight
+    return weight if imputed is None else weight * imputed.outcome_weight
 
 
 def _mean_and_error(values: Float[np.ndarray, " k"]) -> tuple[float, float]:

@@ -26,7 +26,7 @@ from halfseen.world.state import Layout, TableState
 TABLE_COVARIATES = ("num_objects", "mean_occlusion", ACTION, "target_occlusion")
 """All covariates; the first two are known at the beginning of a trajectory."""
 NUM_AT_BEGIN = 2
-_VERBS = tuple(verb.name for verb in Verb)
+_CONTRASTED = tuple(verb.name for verb in Verb)[:-1]
 
 
 def encoded_states(
@@ -171,8 +171,8 @@ def table_covariates(logs: Logs, columns: Sequence[str]) -> pd.DataFrame:
     objects: Any = logs.objects
     targets = objects[[*keys, "object", "occlusion"]].rename(columns={"occlusion": "target_occlusion"})
     known = known.merge(targets, on=[*keys, "object"], how="left").drop(columns=[*keys, "object"]).fillna(0.0)
-    verbs = action_indicators(logs.stages[ACTION], _VERBS[:-1])
-    parts = [verbs if name == ACTION else known[[name]] for name in columns]
+    taken = logs.stages[ACTION]
+    parts = [action_indicators(taken, _CONTRASTED) if name == ACTION else known[[name]] for name in columns]
     return pd.concat([known[[]], *parts], axis=1)
 
 
