@@ -20,7 +20,8 @@ quantities are estimated:
   has no preference, τ = 0, unless b predicts other trajectories better than uniform choice by a standard error.
 - *τ* weighs two predictors of what an action earns. The advantage A_t = R_t + V̂(S_{t+1}) − V̂(S_t) of the logged
   action, V̂ the value of the logging policy by least squares [BradtkeBarto1996]_, is regressed on how far the action
-  leads the log's average one in Q̂ and in log b, both fitted to other trajectories [Breiman1996]_:
+  leads the log's average one in Q̂ and in log b, both fitted to other trajectories [Breiman1996]_. Q̂ below its median
+  in a state counts as the median: such an action is not taken, and Q̂ may be far too low there.
 
       A_t ≈ c · lead of Q̂ + κ · lead of log b,    τ = (κ + s_κ)⁺ / (c − 2 s_c),
 
@@ -148,7 +149,9 @@ def with_preference(model: QModel, trajectories: TrajectoryArrays) -> tuple[QMod
     ridge, log_b = _held_out(choices, of_trajectory % NUM_FOLDS)
     q, logged = _held_out_q(model, trajectories)[known], choices.logged(log_b)
     advantage = np.where(done, advantages(trajectories, standard)[known], 0.0)
-    leads = np.column_stack([choices.lead(each, logged)[done] for each in (q, log_b)])
+    leads = np.column_stack(
+        [choices.lead(each, logged)[done] for each in (at_least_median(q, choices.is_possible), log_b)]
+    )
     found = stacked(leads, advantage[done], of_trajectory[done])
     tau = found.weight(STANDARD_ERRORS * float(np.sqrt(np.mean(advantage[done] ** 2))))
     if not choices.has_preference(log_b, of_trajectory):
@@ -224,6 +227,13 @@ def stacked(
     score = np.zeros((int(of_trajectory.max(initial=0)) + 1, leads.shape[1]))
     np.add.at(score, of_trajectory, leads * (advantage - leads @ coefficients)[:, None])
     return Stacked(coefficients, np.sqrt(np.diag(inverse @ (score.T @ score) @ inverse)))
+
+
+def at_least_median(
+    q: Float[np.ndarray, "rows A"], is_possible: Bool[np.ndarray, "rows A"]
+) -> Float[np.ndarray, "rows A"]:
+    """Raise Q̂ to its median over the possible actions of a state."""
+    return np.maximum(q, np.nanmedian(np.where(is_possible, q, np.nan), axis=1, keepdims=True))
 
 
 def clearly_best(gain: Float[np.ndarray, "M rows"], of_trajectory: Int[np.ndarray, " rows"]) -> int:
