@@ -112,7 +112,7 @@ def binned(said, was):
 
 
 def planner_calibration(num_tables, num_states):
-    told, everything, seconds = {}, Calibration(), []
+    result, everything, seconds = {}, Calibration(), []
     for (num_objects, horizon), seed in CHECK_TABLES.items():
         config, found = states_with_truth(num_objects, horizon, seed, num_tables, num_states)
         calibration = Calibration()
@@ -124,27 +124,27 @@ def planner_calibration(num_tables, num_states):
                 each.add(one.low, one.high, one.probability_best, truth)
                 each.add_lifts(one, truth)
         name = f"{num_objects} cups, {horizon} steps"
-        told[name] = calibration.report(f"planner, {name}")
-    told["all"] = everything.report("planner, all")
-    told["median_s"] = float(np.median(seconds))
-    print(f"  an explanation takes {told['median_s']:.3f} s")
-    return told
+        result[name] = calibration.report(f"planner, {name}")
+    result["all"] = everything.report("planner, all")
+    result["median_s"] = float(np.median(seconds))
+    print(f"  an explanation takes {result['median_s']:.3f} s")
+    return result
 
 
 def learned_calibration(sizes, num_tables, num_states):
     """What `act` says of policies in their folders, by size of the log, over all tables of the check."""
-    told = {num_trajectories: Calibration() for num_trajectories in sizes}
+    result = {num_trajectories: Calibration() for num_trajectories in sizes}
     for (num_objects, horizon), seed in CHECK_TABLES.items():
         config, found = states_with_truth(num_objects, horizon, seed, num_tables, num_states)
         names = ActionSpace(num_objects).names
-        for num_trajectories, calibration in told.items():
+        for num_trajectories, calibration in result.items():
             decider = learned_decider(config, num_objects, LOG_SEED + seed, num_trajectories)
             for state, truth in found:
                 decision = decider.decide(Present(state, horizon - int(state.steps_to_go) + 1))
                 low, high = np.array([decision.intervals.get(name, (np.nan, np.nan)) for name in names]).T
                 chance_best = np.array([decision.chance_best.get(name, np.nan) for name in names])
                 calibration.add(low, high, chance_best, truth)
-    return {size: calibration.report(f"learned from {size} trajectories") for size, calibration in told.items()}
+    return {size: calibration.report(f"learned from {size} trajectories") for size, calibration in result.items()}
 
 
 def learned_decider(config, num_objects, seed, num_trajectories):

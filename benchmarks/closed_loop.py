@@ -64,7 +64,7 @@ def policies_of(logs: Logs, config: WorldConfig, seed: int) -> dict[str, Policy]
     }
 
 
-def told(name: str, summary: Summary) -> str:
+def line_of(name: str, summary: Summary) -> str:
     """One line of the table."""
     estimates = (summary.reward, summary.predicted, summary.gap, summary.luck, summary.gap_without_luck)
     cells = ("–" if each is None else f"{each.value:+7.2f} ± {each.standard_error:.2f}" for each in estimates)
@@ -181,7 +181,7 @@ def main() -> None:
             runs = [run for _, run in tqdm(done, name, options.tables, leave=False, disable=None)]
             driven = logs_of(folder, tables)
             summary, dirty = summarised(runs, driven, policy, belief.config, options.seed), calibration(driven)
-        print(told(name, summary), flush=True)
+        print(line_of(name, summary), flush=True)
         for which, row in dirty.items():
             print(
                 f"  dirty {which + ',':<14}{row['objects']:>5.0f} objects: said {row['said']:.3f}, found "

@@ -22,15 +22,15 @@ def sentences(results):
     """What the guide says of memory, and of the time of each recipe."""
     # What is held of a trajectory is the same by either; where compiling takes more for small logs, it grows unseen.
     memory = max(slope_of(results, recipe)[1] for recipe in NAMES)
-    told = [f"A stage takes {memory:.0f} bytes on the machine that asks: {NUM_STAGES * memory / 1e9:.0f} GB in all."]
+    result = [f"A stage takes {memory:.0f} bytes on the machine that asks: {NUM_STAGES * memory / 1e9:.0f} GB in all."]
     for recipe, name in NAMES.items():
         kept, _ = slope_of(results, recipe)
         forgotten, _ = slope_of(results, recipe, is_kept=False)
-        told.append(
+        result.append(
             f"By {name} it takes {1e6 * kept:.1f} µs of a core, {hours(kept):.1f} hours in all; read anew in each "
             f"pass, {1e6 * forgotten:.1f} µs and {hours(forgotten):.1f} hours."
         )
-    return told
+    return result
 
 
 def main():

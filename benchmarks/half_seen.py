@@ -63,28 +63,28 @@ class ManyStains:
         self.cell = Workcell(table, rng, self._surfaces[0], labeller=self)
 
     def __call__(self, view: View, cloud: Cloud) -> Sequence[Label]:
-        """Label each object of a view, and remember what other stains would have told."""
+        """Label each object of a view, and remember what it would be with other stains."""
         cell, camera = self.cell, self.cell.table.camera
         ideal, memory = CellCamera(cell.cell, camera).view(), cell.memory
         poses = [cell.cell.cup(index) for index in range(cell.cell.num_cups)]
         for surfaces, known in zip(self._surfaces, self._known, strict=True):
             known.extend(replace(each, glances=[]) for each in memory.objects[len(known) :])
             picture = colours(ideal, camera, surfaces, poses, self._rng)
-            told = self._counter(view, replace(cloud, colours=picture.reshape(-1, 3)))
-            for seen, label in zip(view.objects, told, strict=True):
+            result = self._counter(view, replace(cloud, colours=picture.reshape(-1, 3)))
+            for seen, label in zip(view.objects, result, strict=True):
                 number = memory.number_of(seen.id)
                 if number is not None and label.is_dirty is not None:
                     known[number].label(memory.occlusion(number), label.is_dirty, is_held=False)
         return self._counter(view, cloud)
 
     def rows(self, belief: Belief) -> list[dict[str, Any]]:
-        """What each set of stains has told of each object that is in view, and whether it is dirty."""
+        """The labels by each set of stains of each object that is in view, and whether it is dirty."""
         memory, found = copy(self.cell.memory), []
         objects = self.cell.memory.objects
         places_m = np.array([self.cell.cell.cup(index).position_m for index in range(self.cell.cell.num_cups)])
         cups = [int(np.linalg.norm(places_m - known.middle_m, axis=1).argmin()) for known in objects]
-        for number, (is_dirty, told) in enumerate(zip(self.is_dirty, self._known, strict=True)):
-            memory.objects = [replace(known, glances=its.glances) for known, its in zip(objects, told, strict=True)]
+        for number, (is_dirty, result) in enumerate(zip(self.is_dirty, self._known, strict=True)):
+            memory.objects = [replace(known, glances=its.glances) for known, its in zip(objects, result, strict=True)]
             for known, cup, row in zip(objects, cups, rows_of(memory, belief), strict=True):
                 if known.seen is not None and row["glance_dirty"]:
                     kept = {name: row[name] for name in COLUMNS}

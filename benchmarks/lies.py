@@ -2,8 +2,8 @@
 
 python benchmarks/lies.py [--logs 20] [--trajectories 400] [--share 0.333] [--out FILE]
 
-Logs of the worlds of `worlds` are told otherwise than they were made, each lie in each of them. What is printed is the
-share of logs in which `inspect` finds what it was made for, and, of the same logs untouched, the share that raises any
+Logs of the worlds of `worlds` are recorded otherwise than they were made, each lie in each of them. What is printed is
+the share of logs in which `inspect` finds it, and, of the same logs untouched, the share that raises any
 doubt by which no verdict rests on them, or that a trajectory, a clock, a unit or a text is not what it should be.
 """
 
@@ -44,8 +44,8 @@ def outcome_as_covariate(stages: Any, trajectories: Any, rng: np.random.Generato
 def cuts_as_ends(stages: Any, trajectories: Any, rng: np.random.Generator) -> Tables:
     """Trajectories that were cut are finished with reward 0."""
     end_s = stages["trajectory"].map(trajectories.set_index("trajectory")["end_s"])
-    told = stages.assign(elapsed_s=stages["elapsed_s"].fillna(end_s), reward=stages["reward"].fillna(0.0))
-    return told, trajectories.assign(ending="finished", cause=None)
+    result = stages.assign(elapsed_s=stages["elapsed_s"].fillna(end_s), reward=stages["reward"].fillna(0.0))
+    return result, trajectories.assign(ending="finished", cause=None)
 
 
 def milliseconds(stages: Any, trajectories: Any, rng: np.random.Generator) -> Tables:

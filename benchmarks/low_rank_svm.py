@@ -52,7 +52,7 @@ def measured(loss: str) -> dict[str, object]:
     return {"loss": loss, "seconds": passed, "peak_bytes": peak, "relative_gap": gap}
 
 
-def told(result: dict) -> str:
+def line_of(result: dict) -> str:
     is_met = result["seconds"] < BAR_S and result["peak_bytes"] < BAR_BYTES
     return (
         f"{result['loss']:20s} {result['seconds']:6.1f} s, peak {result['peak_bytes'] / 1e9:.2f} GB, "
@@ -72,7 +72,7 @@ def main() -> None:
     for loss in (*REGRESSION, *CLASSIFICATION):
         command = [sys.executable, __file__, "--loss", loss]
         results.append(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
-        print(told(results[-1]), flush=True)
+        print(line_of(results[-1]), flush=True)
     rows = [
         Row(f"censored SVM, 100,000 rows, 500 landmarks, {each['loss']}", each["seconds"], "s", bar=BAR_S)
         for each in results

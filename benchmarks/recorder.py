@@ -43,7 +43,7 @@ def trajectory_us(recorder):
 
 
 def measured(fsync, folder, num_trajectories):
-    """One row of what is told."""
+    """One row of the report."""
     with tempfile.TemporaryDirectory(dir=folder) as place, LogRecorder(Path(place) / "logs", fsync=fsync) as recorder:
         trajectory_us(recorder)  # Whatever is done once.
         trajectories = [trajectory_us(recorder) for _ in range(num_trajectories)]

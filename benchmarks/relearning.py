@@ -10,9 +10,9 @@ cell's own rule with its exploration:
 - camera: a look shows the part one time in ten, where it did nine times.
 
 Learned is, by default, from all of it (pooled), from what came after the change (since), from what came after the
-change as `halfseen learn` tells it, or from all where it tells nothing (told), and by `--recency auto`. It prints the
-value of each in the cell as it is after the change, which is exact, beside that of the best policy; the mean over logs
-with its standard error; in which share of the logs a change is told; and how often one is told of logs of 400
+change that `halfseen learn` reports, or from all where it reports none (advised), and by `--recency auto`. It prints
+the value of each in the cell as it is after the change, which is exact, beside that of the best policy; the mean over
+logs with its standard error; in which share of the logs a change is reported; and how often one is in logs of 400
 trajectories in which there is none.
 """
 
@@ -67,15 +67,15 @@ def learned_each_way(kind: str, num_after: int, seed: int) -> dict[str, Any]:
     after = log_after(kind, num_after, 2 * seed + 1)
     logs = joined([Bin().log(NUM_BEFORE, 2 * seed, SHARE), after])
     pooled, recent = learned(logs), learned(logs, "auto")
-    told = changes_in(logs, pooled.policy_, seed)
+    result = changes_in(logs, pooled.policy_, seed)
     learners = {
         "pooled": pooled,
         "since": learned(after),
-        "told": learned(since(logs, told[0].since)) if told else pooled,
+        "advised": learned(since(logs, result[0].since)) if result else pooled,
         "recency": recent,
     }
     values = {name: value(one, kind) for name, one in learners.items()}
-    return {**values, "is told": bool(told), "half-life": recent.model_.half_life}
+    return {**values, "is reported": bool(result), "half-life": recent.model_.half_life}
 
 
 def figures(kind: str, num_after: int, num_logs: int) -> dict[str, Any]:
@@ -83,8 +83,8 @@ def figures(kind: str, num_after: int, num_logs: int) -> dict[str, Any]:
         learned_each_way(kind, num_after, 1000 + seed)
         for seed in tqdm(range(num_logs), f"{kind}, {num_after} after", leave=False, disable=None)
     ]
-    found: dict[str, Any] = {"best": _best(kind), "told of": float(np.mean([row["is told"] for row in rows]))}
-    for name in ("pooled", "since", "told", "recency"):
+    found: dict[str, Any] = {"best": _best(kind), "reported": float(np.mean([row["is reported"] for row in rows]))}
+    for name in ("pooled", "since", "advised", "recency"):
         each = np.array([row[name] for row in rows])
         found[name] = [float(each.mean()), float(each.std(ddof=1) / np.sqrt(num_logs))]
     found["half-lives"] = [row["half-life"] for row in rows]
@@ -96,7 +96,7 @@ def _best(kind: str) -> float:
         return Bin().optimum
 
 
-def told_of_nothing(num_logs: int) -> float:
+def false_reports(num_logs: int) -> float:
     policy = learned(Bin().log(NUM_BEFORE, 0, SHARE)).policy_
     seeds = tqdm(range(5000, 5000 + num_logs), "unchanged", leave=False, disable=None)
     return float(np.mean([bool(changes_in(Bin().log(NUM_BEFORE, seed, SHARE), policy, seed)) for seed in seeds]))
@@ -110,16 +110,16 @@ def main() -> None:
     parser.add_argument("--after", nargs="*", type=int, default=NUMS_AFTER)
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/relearning.json"))
     options = parser.parse_args()
-    results: dict[str, Any] = {"unchanged": told_of_nothing(options.unchanged)}
-    print(f"told of {results['unchanged']:.1%} of {options.unchanged} unchanged logs", flush=True)
-    names = ("pooled", "since", "told", "recency")
-    print(f"{'change':<8}{'after':>6}{'told of':>9}{'best':>7}" + "".join(f"{name:>15}" for name in names))
+    results: dict[str, Any] = {"unchanged": false_reports(options.unchanged)}
+    print(f"a change is reported in {results['unchanged']:.1%} of {options.unchanged} unchanged logs", flush=True)
+    names = ("pooled", "since", "advised", "recency")
+    print(f"{'change':<8}{'after':>6}{'reported':>9}{'best':>7}" + "".join(f"{name:>15}" for name in names))
     for kind in options.only:
         for num_after in options.after:
             found = figures(kind, num_after, options.logs)
             results[f"{kind} {num_after}"] = found
             cells = "".join(f"{found[name][0]:>8.3f} ± {found[name][1]:.3f}" for name in names)
-            print(f"{kind:<8}{num_after:>6}{found['told of']:>9.0%}{found['best']:>7.3f}{cells}", flush=True)
+            print(f"{kind:<8}{num_after:>6}{found['reported']:>9.0%}{found['best']:>7.3f}{cells}", flush=True)
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
 

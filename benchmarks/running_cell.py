@@ -61,8 +61,8 @@ def bin_requests(seed: int) -> Generator[Asked, dict[str, Any], None]:
         )
         end: dict[str, Any] = {"ending": "finished"}
         for _ in range(bin_cell.HORIZON):
-            told = yield "/decide", dict(zip(bin_cell.Bin.covariates, state.tolist(), strict=True))
-            action = bin_cell.Bin.actions.index(told["action"])
+            result = yield "/decide", dict(zip(bin_cell.Bin.covariates, state.tolist(), strict=True))
+            action = bin_cell.Bin.actions.index(result["action"])
             clock_s += bin_cell.SECONDS[action] * (1.0 + 0.5 * state[2]) * rng.gamma(6.0, 1.0 / 6.0)
             if clock_s > limit_s:
                 end, clock_s = {"ending": "cut", "cause": "operator"}, limit_s
@@ -109,14 +109,14 @@ async def load(port: int, rate: float, seconds: float, server: psutil.Process, *
         # Timers of the client are late by up to a millisecond, which is no wait for the server.
         while time.perf_counter() < due_s:
             pass
-        status, told = await connection.ask(json.dumps(body).encode(), path)
-        assert status == 200, told
+        status, answer = await connection.ask(json.dumps(body).encode(), path)
+        assert status == 200, answer
         waited[path].append((time.perf_counter() - due_s) * 1e3)
-        path, body = cell.send(told)
+        path, body = cell.send(answer)
         if k % max(1, num // 10) == 0:
             memory.append(server.memory_info().rss)
     looking.cancel()
-    told = json.loads((await connection.get("/state"))[1])
+    answer = json.loads((await connection.get("/state"))[1])
     return {
         "waited_ms": {
             name: {f"p{p}": float(np.percentile(each, p)) for p in (50, 99, 100)} for name, each in waited.items()
@@ -125,13 +125,13 @@ async def load(port: int, rate: float, seconds: float, server: psutil.Process, *
         "cpu_ms": (sum(server.cpu_times()[:2]) - cpu_s) / num * 1e3,
         "grown_mb": (server.memory_info().rss - memory[1]) / 1e6,
         "memory_mb": server.memory_info().rss / 1e6,
-        "comparison": told.get("comparison"),
-        "monitor": told["monitor"],
+        "comparison": answer.get("comparison"),
+        "monitor": answer["monitor"],
     }
 
 
 @dataclass
-class Told:
+class Answers:
     """What a server said before it was killed."""
 
     decisions: dict[tuple[int, int], dict[str, Any]] = field(default_factory=dict)
@@ -139,33 +139,35 @@ class Told:
     endings: dict[int, str] = field(default_factory=dict)
     at: tuple[int, int] = (0, 0)
 
-    def take(self, path: str, body: dict[str, Any], told: dict[str, Any]) -> None:
+    def take(self, path: str, body: dict[str, Any], result: dict[str, Any]) -> None:
         """Keep an answer."""
         if path == "/decide":
-            self.at = told["trajectory"], told["stage"]
+            self.at = result["trajectory"], result["stage"]
             assert self.at not in self.decisions, f"{self.at} was decided twice"
-            self.decisions[self.at] = told
+            self.decisions[self.at] = result
         elif path == "/reward":
             self.rewards[self.at] = body["reward"]
         else:
             self.endings[self.at[0]] = body["ending"]
 
 
-async def until_killed(port: int, server: psutil.Process, seed: int, num_asked: int, way_s: float, told: Told) -> None:
+async def until_killed(
+    port: int, server: psutil.Process, seed: int, num_asked: int, way_s: float, result: Answers
+) -> None:
     """Ask so often; then kill the server while the next request is on its way."""
     connection, cell = await Connection(HERE, port).open(), bin_requests(seed)
     path, body = next(cell)
     for _ in range(num_asked):
         status, answer = await connection.ask(json.dumps(body).encode(), path)
         assert status == 200, answer
-        told.take(path, body, answer)
+        result.take(path, body, answer)
         path, body = cell.send(answer)
     asking = asyncio.create_task(connection.ask(json.dumps(body).encode(), path))
     await asyncio.sleep(way_s)
     server.kill()
     try:
         status, answer = await asking
-        told.take(path, body, answer)
+        result.take(path, body, answer)
     except (ConnectionError, asyncio.IncompleteReadError):
         pass  # Nobody knows whether it was taken.
     finally:
@@ -173,25 +175,25 @@ async def until_killed(port: int, server: psutil.Process, seed: int, num_asked: 
         await asyncio.sleep(0)
 
 
-def check_told(logs: Logs, told: Told, num_kills: int) -> int:
+def check_answers(logs: Logs, result: Answers, num_kills: int) -> int:
     """Check that what was answered is in the log, once; how many trajectories were torn."""
     torn = set(logs.trajectories.loc[logs.trajectories["cause"].eq("crash"), "trajectory"])
     keys = list(zip(logs.stages["trajectory"], logs.stages["stage"], strict=True))
     assert len(set(keys)) == len(keys), "a decision was recorded twice"
     rows = dict(zip(keys, logs.stages.to_dict("records"), strict=True))
     lasts = set(logs.stages.groupby("trajectory")["stage"].max().items())
-    for key, decision in told.decisions.items():
+    for key, decision in result.decisions.items():
         assert rows[key]["action"] == decision["action"]
         assert rows[key]["probability"] == decision["probability"]
-    unanswered = set(rows) - set(told.decisions)
+    unanswered = set(rows) - set(result.decisions)
     assert len(unanswered) <= num_kills
     assert unanswered <= lasts, "a decision in progress is the last"
-    for key, reward in told.rewards.items():
+    for key, reward in result.rewards.items():
         assert rows[key]["reward"] == reward or (key in lasts and key[0] in torn)
     ended = logs.trajectories.set_index("trajectory")["ending"]
-    assert all(ended[name] == ending for name, ending in told.endings.items())
+    assert all(ended[name] == ending for name, ending in result.endings.items())
     arms = logs.trajectories.set_index("trajectory")[ARM]
-    assert all(arms[name] == each["arm"] for (name, _), each in told.decisions.items())
+    assert all(arms[name] == each["arm"] for (name, _), each in result.decisions.items())
     return len(torn)
 
 
@@ -207,26 +209,26 @@ def check_dealt(logs: Logs, comparison: LiveComparison) -> None:
 
 def killed(folder: Path, policy: Path, num_kills: int, seed: int = 0) -> dict[str, int]:
     """Kill servers of one log, one after the other, and check what is left."""
-    rng, rule, logs, told = np.random.default_rng(seed), folder / "rule.csv", folder / "logs", Told()
+    rng, rule, logs, result = np.random.default_rng(seed), folder / "rule.csv", folder / "logs", Answers()
     rule.write_text(RULE)
     words = (policy, "--record", logs, "--against", rule, "--share", SHARE, "--seed", SEED, "--monitor-every", 0)
     for kill in range(num_kills):
         with served(*words) as (server, port):
             num_asked, way_s = int(rng.integers(MOST_REQUESTS_A_KILL)), float(rng.uniform(0.0, LONGEST_WAY_S))
-            asyncio.run(until_killed(port, server, kill, num_asked, way_s, told))
+            asyncio.run(until_killed(port, server, kill, num_asked, way_s, result))
     try:
         found = read_logs(logs)
     except NothingRecordedError:
         found = None
     assert found is not None, "something was recorded"
-    num_torn = check_told(found, told, num_kills)
+    num_torn = check_answers(found, result, num_kills)
     check_dealt(found, LiveComparison(taken_into_service(policy), rule, logs, Terms(SHARE), SEED))
     return {
         "kills": num_kills,
         "trajectories": found.num_trajectories,
         "torn": num_torn,
         "decisions": len(found.stages),
-        "unanswered": len(found.stages) - len(told.decisions),
+        "unanswered": len(found.stages) - len(result.decisions),
     }
 
 

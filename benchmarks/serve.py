@@ -74,17 +74,19 @@ class Connection:
 
     async def ask(self, body: bytes, path: str = "/decide") -> tuple[int, Any]:
         head = f"content-type: application/json\r\ncontent-length: {len(body)}\r\n"
-        status, told = await self._answered(f"POST {path} HTTP/1.1\r\nhost: {self.host}\r\n{head}\r\n".encode() + body)
-        return status, json.loads(told)
+        status, answer = await self._answered(
+            f"POST {path} HTTP/1.1\r\nhost: {self.host}\r\n{head}\r\n".encode() + body
+        )
+        return status, json.loads(answer)
 
     async def get(self, path: str) -> tuple[int, bytes]:
         return await self._answered(f"GET {path} HTTP/1.1\r\nhost: {self.host}\r\n\r\n".encode())
 
     async def _answered(self, request: bytes) -> tuple[int, bytes]:
         self.writer.write(request)
-        told = (await self.reader.readuntil(b"\r\n\r\n")).lower()
-        length = int(told.partition(b"content-length:")[2].split(b"\r\n", 1)[0])
-        return int(told.split(b" ", 2)[1]), await self.reader.readexactly(length)
+        message = (await self.reader.readuntil(b"\r\n\r\n")).lower()
+        length = int(message.partition(b"content-length:")[2].split(b"\r\n", 1)[0])
+        return int(message.split(b" ", 2)[1]), await self.reader.readexactly(length)
 
 
 async def load(port: int, asked: list, rate: float, server: psutil.Process) -> dict[str, Any]:
@@ -97,12 +99,14 @@ async def load(port: int, asked: list, rate: float, server: psutil.Process) -> d
     async def one(k: int, begun_s: float) -> None:
         body, said = asked[k]
         connection = await free.get()
-        status, told = await connection.ask(body)
+        status, answer = await connection.ask(body)
         waited_ms[k] = (time.perf_counter() - begun_s) * 1e3
         free.put_nowait(connection)
-        is_right = {name: told.get(name) for name in said} == said if said else 400 <= status < 500 and "error" in told
+        is_right = (
+            {name: answer.get(name) for name in said} == said if said else 400 <= status < 500 and "error" in answer
+        )
         if not is_right:
-            wrong.append((status, told, said))
+            wrong.append((status, answer, said))
 
     begin_s, tasks = time.perf_counter(), []
     for k in range(len(asked)):

@@ -171,11 +171,11 @@ def learn(folder, recipe, num_workers, is_kept, answers):
 
 def run(job, answers=None):
     job.start()
-    told = None if answers is None else answers.get()
+    answer = None if answers is None else answers.get()
     job.join()
     if job.exitcode:
         raise SystemExit(f"{job.name} ended with status {job.exitcode}")
-    return told
+    return answer
 
 
 def measured(num_stages, recipes, num_workers, is_kept):
@@ -186,45 +186,50 @@ def measured(num_stages, recipes, num_workers, is_kept):
         run(context.Process(target=write, args=(folder, num_stages)))
         megabytes = sum(file.stat().st_size for file in folder.iterdir()) / 1e6
         for recipe in recipes:
-            told = run(context.Process(target=learn, args=(folder, recipe, num_workers, is_kept, answers)), answers)
-            found.append({"recipe": recipe, "file_mb": megabytes} | told)
+            output = run(context.Process(target=learn, args=(folder, recipe, num_workers, is_kept, answers)), answers)
+            found.append({"recipe": recipe, "file_mb": megabytes} | output)
             show(found[-1])
     return found
 
 
-def is_judged(told):
+def is_judged(result):
     """Whether the bars are meant for a log of this size."""
-    return BAR_STAGES <= told["num_stages"] < 2 * BAR_STAGES
+    return BAR_STAGES <= result["num_stages"] < 2 * BAR_STAGES
 
 
-def show(told):
+def show(result):
     print(
-        f"{told['recipe']}: {told['num_stages']:,} stages of {told['num_trajectories']:,} trajectories, "
-        f"{told['file_mb']:.0f} MB"
+        f"{result['recipe']}: {result['num_stages']:,} stages of {result['num_trajectories']:,} trajectories, "
+        f"{result['file_mb']:.0f} MB"
     )
-    print(f"  learned in {told['seconds']:.0f} s ({told['cpu_s']:.0f} s of processors), {told['num_workers']} workers")
-    bar = f" (bar: 1 GB, {'holds' if told['peak_gb'] < 1.0 else 'missed'})" if is_judged(told) else ""
-    print(f"  most memory {told['peak_gb']:.2f} GB{bar}")
-    low, high = told["slopes_of_x0"]
+    print(
+        f"  learned in {result['seconds']:.0f} s ({result['cpu_s']:.0f} s of processors), "
+        f"{result['num_workers']} workers"
+    )
+    bar = f" (bar: 1 GB, {'holds' if result['peak_gb'] < 1.0 else 'missed'})" if is_judged(result) else ""
+    print(f"  most memory {result['peak_gb']:.2f} GB{bar}")
+    low, high = result["slopes_of_x0"]
     print(f"  slopes of x0 in the last stage: {low:+.4f}, {high:+.4f} (truth -1, +1)", flush=True)
 
 
 def with_kept(results):
     """What was kept before, and these in its place where they are of the same."""
 
-    def key(told):
-        return told["recipe"], told["is_kept"], told["num_stages"]
+    def key(result):
+        return result["recipe"], result["is_kept"], result["num_stages"]
 
     before = json.loads(KEPT.read_text()) if KEPT.exists() else []
     machine = timings.machine()
-    both = {key(told): told for told in before} | {key(told): told | {"machine": machine} for told in results}
+    both = {key(result): result for result in before} | {
+        key(result): result | {"machine": machine} for result in results
+    }
     return [both[each] for each in sorted(both)]
 
 
 def slope_of(results, recipe, is_kept=True):
     """What a stage more takes, between the smallest log and the largest one: processor time [s] and memory [bytes]."""
-    sizes = [told for told in results if told["recipe"] == recipe and told["is_kept"] == is_kept]
-    sizes.sort(key=lambda told: told["num_stages"])
+    sizes = [result for result in results if result["recipe"] == recipe and result["is_kept"] == is_kept]
+    sizes.sort(key=lambda result: result["num_stages"])
     few, many = sizes[0], sizes[-1]
     more = many["num_stages"] - few["num_stages"]
     if not more:
@@ -241,16 +246,16 @@ def main():
     parser.add_argument("--keep", action="store_true")
     parser.add_argument("--out", type=Path, default=OUT)
     args = parser.parse_args()
-    results = [told for size in args.stages for told in measured(size, args.recipes, args.workers, not args.forget)]
+    results = [result for size in args.stages for result in measured(size, args.recipes, args.workers, not args.forget)]
     for recipe in args.recipes:
         slope = slope_of(results, recipe, not args.forget)
         if slope is not None:
             print(f"{recipe}: a million stages more take {1e6 * slope[0]:.1f} s of processors and {slope[1]:.0f} MB")
     rows = []
-    for told in [] if args.forget else results:
-        bar_s = BAR_S if is_judged(told) else None
-        what = f"learning from {told['num_stages']:,} stages in passes, {NAMES[told['recipe']]}"
-        rows.append(timings.Row(what, told["seconds"], "s", bar=bar_s))
+    for result in [] if args.forget else results:
+        bar_s = BAR_S if is_judged(result) else None
+        what = f"learning from {result['num_stages']:,} stages in passes, {NAMES[result['recipe']]}"
+        rows.append(timings.Row(what, result["seconds"], "s", bar=bar_s))
     timings.write(args.out, results, rows)
     if args.keep:
         write_file(KEPT, json.dumps(with_kept(results), indent=1) + "\n")

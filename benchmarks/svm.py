@@ -69,7 +69,7 @@ def measured(loss: str, reg: float, num_rows: int) -> dict[str, object]:
     return result | ({"scikit_survival_s": peer_s, "ratio": peer_s / ours_s} if with_peer else {})
 
 
-def told(result: dict) -> str:
+def line_of(result: dict) -> str:
     ratio = f", {result['ratio']:.1f} times as fast as scikit-survival" if "ratio" in result else ""
     verdict = "" if result["seconds"] < result["bar_s"] else f" (MISSES {result['bar_s']} s)"
     return (
@@ -93,7 +93,7 @@ def main() -> None:
         for loss in (*REGRESSION, *CLASSIFICATION):
             for reg in REGS:
                 results.append(measured(loss, reg, num_rows))
-                print(told(results[-1]), flush=True)
+                print(line_of(results[-1]), flush=True)
     # Of the table, the loss that takes longest alone.
     slowest = [max(same, key=lambda each: each["seconds"]) for same in by_size_and_reg(results)]
     rows = [

@@ -81,9 +81,9 @@ def main() -> None:
         optimum = solve_team(HIDES, config, workspace)
         print(f"\n{price} per second: optimum {optimum.value:.4f}, {optimum.num_states:,} states", end="")
         print(f", {time.perf_counter() - begin_s:.0f} s\n{'policy':34}{'value':>9}{'regret':>9}")
-        told = [(name, policy, 1) for name, policy in policies_of(config).items()]
-        told += [(name, policy, args.keys) for name, policy in drawing_of(config, args.futures).items()]
-        for name, policy, num_keys in told:
+        result = [(name, policy, 1) for name, policy in policies_of(config).items()]
+        result += [(name, policy, args.keys) for name, policy in drawing_of(config, args.futures).items()]
+        for name, policy, num_keys in result:
             regret, error = regrets(optimum, policy, num_keys)
             interval = "" if np.isnan(error) else f" ± {error:.4f}"
             print(f"{name:34}{optimum.value - regret:9.4f}{regret:9.4f}{interval}", flush=True)

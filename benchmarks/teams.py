@@ -10,10 +10,10 @@ the middle; a third stands behind. Each log is played by the team's rule of thum
 uniformly at random. What is learned from each log plays the same episodes as all others; intervals are over logs, and
 for who learns nothing over episodes. Points are counted above leaving the table as it is.
 
-What coordination buys is told in pairs, log by log: the points of what is learned with laws, or of one Q without them,
-less those of each alone, and of the best rule, which knows the true laws and the price; and less those of the same log
-before it was cut. Seconds are told as a share of those that one robot takes by the same way, to be held beside 1/K; and
-the least share that was to be had without doing less: the seconds that all robots were at work, shared evenly.
+What coordination buys is compared log by log: the points of what is learned with laws, or of one Q without them, less
+those of each alone, and of the best rule, which knows the true laws and the price; and less those of the same log
+before it was cut. Seconds are given as a share of those that one robot takes by the same way, to be held beside 1/K;
+and the least share that was to be had without doing less: the seconds that all robots were at work, shared evenly.
 """
 
 import argparse
@@ -188,8 +188,8 @@ def what_coordination_buys(rows):
         paired = [interval(points - [row["points"] for row in others]) if others else "" for others in (alone, uncut)]
         differences = [paired[0], interval(points - best), paired[1]]
         seconds = f"{np.mean([row['seconds'] for row in members]):.1f}"
-        told = [num_robots, price, policy, size, cut, f"{points.mean():.2f}", *differences, seconds]
-        yield [*told, *beside_one(members, groups.get((1, price, policy, size, cut)))]
+        message = [num_robots, price, policy, size, cut, f"{points.mean():.2f}", *differences, seconds]
+        yield [*message, *beside_one(members, groups.get((1, price, policy, size, cut)))]
 
 
 def beside_one(members, of_one):
@@ -209,8 +209,8 @@ def as_table(names, lines):
 def store(given, rows):
     """What was measured so far."""
     given.out.parent.mkdir(parents=True, exist_ok=True)
-    told = {"seed": SEED, "episodes": given.episodes, "law": given.law, "rows": rows}
-    given.out.write_text(json.dumps(told, indent=1))
+    result = {"seed": SEED, "episodes": given.episodes, "law": given.law, "rows": rows}
+    given.out.write_text(json.dumps(result, indent=1))
 
 
 def main():

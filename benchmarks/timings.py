@@ -70,9 +70,9 @@ class Row:
 
 def write(out: Path, results: Any, rows: Sequence[Row]) -> None:
     """Write what a benchmark found, and its rows of the table."""
-    told = {"results": results, "rows": [asdict(row) for row in rows], "date": today(), "machine": machine()}
+    result = {"results": results, "rows": [asdict(row) for row in rows], "date": today(), "machine": machine()}
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_file(out, json.dumps(told, indent=1, ensure_ascii=False) + "\n")
+    write_file(out, json.dumps(result, indent=1, ensure_ascii=False) + "\n")
 
 
 def today() -> str:

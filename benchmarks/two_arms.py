@@ -52,11 +52,11 @@ def plans_of(rule: GreedyPolicy) -> dict[str, tuple[Policy | Policy, Conditions]
     return {ONE: (rule, one), TWO: (team, two), IN_TURN: (InTurn(team), two)}
 
 
-def told_of(runs: Runs, base: Runs | None) -> dict[str, Any]:
+def summary_of(runs: Runs, base: Runs | None) -> dict[str, Any]:
     """What came of some tables, beside what came of them with one arm."""
     counted = {name: sum(run[name] for run in runs) for name in runs[0] if name.startswith("num_")}
     seconds = np.array([run["seconds"] for run in runs if run["cause"] is None] or [np.nan])
-    told: dict[str, Any] = {
+    result: dict[str, Any] = {
         "tables": len(runs),
         **counted,
         "cut": dict(Counter(run["cause"] for run in runs if run["cause"] is not None)),
@@ -66,7 +66,7 @@ def told_of(runs: Runs, base: Runs | None) -> dict[str, Any]:
         "seconds": {"mean": float(seconds.mean()), "median": float(np.median(seconds))},
         "runs": list(runs),
     }
-    return told if base is None else told | {"ratio": ratio(runs, base)}
+    return result if base is None else result | {"ratio": ratio(runs, base)}
 
 
 def ratio(runs: Runs, base: Runs) -> dict[str, float] | None:
@@ -94,25 +94,27 @@ def ratio(runs: Runs, base: Runs) -> dict[str, float] | None:
     }
 
 
-def print_told(name: str, told: Mapping[str, Any]) -> None:
+def print_summary(name: str, result: Mapping[str, Any]) -> None:
     """Print a line or two of who cleared the tables."""
-    cut = ", ".join(f"{num} by {cause}" for cause, num in told["cut"].items())
+    cut = ", ".join(f"{num} by {cause}" for cause, num in result["cut"].items())
     print(
-        f"{name:<18}{told['num_racked']:>4} of {told['num_cups']} cups in the rack, {told['num_toppled']} toppled, "
-        f"{told['num_fallen']} fell; {told['seconds']['mean']:.1f} s a table, median {told['seconds']['median']:.1f}; "
-        f"reward {told['reward']:+.2f}; {told['tables']} tables, {f'cut {cut}' if cut else 'none cut'}"
+        f"{name:<18}{result['num_racked']:>4} of {result['num_cups']} cups in the rack, "
+        f"{result['num_toppled']} toppled, "
+        f"{result['num_fallen']} fell; {result['seconds']['mean']:.1f} s a table, "
+        f"median {result['seconds']['median']:.1f}; "
+        f"reward {result['reward']:+.2f}; {result['tables']} tables, {f'cut {cut}' if cut else 'none cut'}"
     )
-    if told.get("ratio") is not None:
-        of_one = told["ratio"]
+    if result.get("ratio") is not None:
+        of_one = result["ratio"]
         print(
             f"{'':<18}{of_one['value']:.3f} of one arm's time ({of_one['low']:.3f} to {of_one['high']:.3f}), median "
             f"{of_one['median']:.3f}, largest {of_one['largest']:.3f}, on {of_one['tables']} tables"
         )
-    if "num_collisions" in told:
+    if "num_collisions" in result:
         print(
-            f"{'':<18}{told['num_collisions']} collisions, {told['num_waits']} waits of "
-            f"{told['waited_s'] / max(told['num_waits'], 1):.1f} s, {told['num_deadlocks']} deadlocks, "
-            f"{told['num_gave_way']} gave way"
+            f"{'':<18}{result['num_collisions']} collisions, {result['num_waits']} waits of "
+            f"{result['waited_s'] / max(result['num_waits'], 1):.1f} s, {result['num_deadlocks']} deadlocks, "
+            f"{result['num_gave_way']} gave way"
         )
 
 
@@ -124,7 +126,7 @@ def runs_in(file: Path, of: Mapping[str, Any]) -> dict[str, Runs]:
     was = {name: found.get(name) for name in of}
     if was != of:
         raise SystemExit(f"{file}: it holds tables of {was}, and these are of {dict(of)}; choose another --out")
-    return {name: told["runs"] for name, told in found["plans"].items()}
+    return {name: result["runs"] for name, result in found["plans"].items()}
 
 
 def main() -> None:
@@ -155,8 +157,8 @@ def main() -> None:
             with working_folder(place, what) as folder, Workers(options.workers).ready() as pool:
                 done = campaign.runs(range(options.tables), folder, pool)
                 runs[name] = [asdict(run) for _, run in tqdm(done, name, options.tables, leave=False, disable=None)]
-        plans = {name: told_of(each, None if name == ONE else runs.get(ONE)) for name, each in runs.items()}
-        print_told(name, plans[name])
+        plans = {name: summary_of(each, None if name == ONE else runs.get(ONE)) for name, each in runs.items()}
+        print_summary(name, plans[name])
         # What has been driven for so long is kept, whatever comes of the next.
         options.out.parent.mkdir(parents=True, exist_ok=True)
         write_file(options.out, json.dumps({**of, "plans": plans}, indent=1) + "\n")

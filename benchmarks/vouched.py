@@ -44,13 +44,13 @@ def measured(world: World, num_trajectories: int, share: float, seed: int) -> di
     return {
         "caution": found.caution,
         "cpu_s": took_s,
-        "vouched": told(found.evaluation) | {"gain": world.value(chances_of(cautious, world)) - to_beat},
-        "best": told(found.best) | {"gain": world.value(chances_of(learner.policy_, world)) - to_beat},
+        "vouched": claimed(found.evaluation) | {"gain": world.value(chances_of(cautious, world)) - to_beat},
+        "best": claimed(found.best) | {"gain": world.value(chances_of(learner.policy_, world)) - to_beat},
         "possible": world.optimum - to_beat,
     }
 
 
-def told(found: Evaluation) -> dict[str, Any]:
+def claimed(found: Evaluation) -> dict[str, Any]:
     """What is said of a policy."""
     main = deciding(found.comparisons)
     is_known = main.difference is not None and main.p is not None

@@ -165,7 +165,7 @@ def main() -> None:
         f"to the viewer alone: answers in {ratios['answer']:.2f} times the time, {ratios['frames']:.2f} of the pictures"
     )
     holds = medians["answer_s"]["halfseen watch"] <= ANSWER_BAR_S, medians["frames_per_s"]["all layers"] >= FRAMES_BAR
-    print(f"bars: {ANSWER_BAR_S:g} s {told(holds[0])}; {FRAMES_BAR:g} pictures a second {told(holds[1])}")
+    print(f"bars: {ANSWER_BAR_S:g} s {in_words(holds[0])}; {FRAMES_BAR:g} pictures a second {in_words(holds[1])}")
     results = {"median": medians, "ratio": ratios, "points": args.points, "renderer": renderer, "holds": holds}
     answer, frames = medians["answer_s"], medians["frames_per_s"]
     rows = [
@@ -180,7 +180,7 @@ def medians_of(runs: dict[str, list[float]]) -> dict[str, float]:
     return {name: float(np.median(each)) for name, each in runs.items()}
 
 
-def told(holds: bool) -> str:
+def in_words(holds: bool) -> str:
     return "holds" if holds else "does not hold"
 
 

@@ -69,8 +69,8 @@ class Mislabelled:
             np.where(latent, np.minimum(3.0 * if_clean, 1.0), if_clean),
         )
         says_dirty = random.uniform(key, if_dirty.shape[-1]) < np.where(is_dirty, if_dirty, if_clean)
-        told = label_evidence(*self.recorder.positive(*view, glimpse.is_held), says_dirty)
-        return LookOutcome(log_odds + told, self.recorder.after(*view, says_dirty, glimpse.is_held), latent)
+        labels = label_evidence(*self.recorder.positive(*view, glimpse.is_held), says_dirty)
+        return LookOutcome(log_odds + labels, self.recorder.after(*view, says_dirty, glimpse.is_held), latent)
 
     def positive(self, occluded: Any, seen: Any, is_held: Any = False) -> Any:
         return self.recorder.positive(occluded, seen, is_held)
@@ -167,13 +167,13 @@ def measured(case: str, index: int, sizes: list[int]) -> list[dict[str, Any]]:
             "rule, fitted laws": rule(found.laws.config),
         }
         gains = {name: float((worth(policy) - base).mean()) for name, policy in policies.items()}
-        told = {
+        result = {
             "basis": found.basis,
             "p": found.test.p_value,
             "is_rejected": found.test.is_rejected,
             "is_mended": found.laws.is_mended,
         }
-        rows.append({"case": case, "size": size, "log": index, **told, "gains": gains})
+        rows.append({"case": case, "size": size, "log": index, **result, "gains": gains})
     return rows
 
 

@@ -66,7 +66,7 @@ class Bare:
         """Install or ask something."""
         self._run([self.python, "-m", "pip", "--quiet", "--disable-pip-version-check", *words], self._for_pip)
 
-    def as_told(self, command: str) -> None:
+    def as_hinted(self, command: str) -> None:
         """Type what a message says."""
         self._run(["sh", "-c", command], self._for_pip)
 
@@ -116,7 +116,7 @@ def walk(bare: Bare, wheel: Path) -> None:
     if missing := WITHOUT_EXTRAS - {each.line.split()[0] for each in ended if each.status == 0}:
         sys.exit(f"these need no extra, and do not work without: {', '.join(sorted(missing))}")
     refused = next(each for each in ended if each.line.startswith("look"))
-    bare.as_told(HINT.findall(refused.err)[0])
+    bare.as_hinted(HINT.findall(refused.err)[0])
     bare.halfseen(f"halfseen {refused.line}")
     walk_with(bare, wheel, "all")
 

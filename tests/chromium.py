@@ -50,14 +50,14 @@ class Tab:
             self._take(message)
 
     def _take(self, message):
-        told, parameters = message.get("method"), message.get("params", {})
-        if told == "Runtime.exceptionThrown":
+        answer, parameters = message.get("method"), message.get("params", {})
+        if answer == "Runtime.exceptionThrown":
             self.errors.append(json.dumps(parameters["exceptionDetails"])[:400])
-        elif told == "Runtime.consoleAPICalled" and parameters["type"] in ("error", "assert"):
+        elif answer == "Runtime.consoleAPICalled" and parameters["type"] in ("error", "assert"):
             self.errors.append(json.dumps(parameters["args"])[:400])
-        elif told == "Log.entryAdded" and parameters["entry"]["level"] == "error":
+        elif answer == "Log.entryAdded" and parameters["entry"]["level"] == "error":
             self.errors.append(json.dumps(parameters["entry"])[:400])
-        elif told in ("Network.requestWillBeSent", "Network.webSocketCreated"):
+        elif answer in ("Network.requestWillBeSent", "Network.webSocketCreated"):
             self.requests.append(parameters.get("url") or parameters["request"]["url"])
 
     def resize(self, width_px, height_px):

@@ -99,9 +99,9 @@ def write_lerobot(
         file.parent.mkdir(parents=True, exist_ok=True)
         pq.write_table(part, file)
     described = {name: {"dtype": "float32", "shape": [1], "names": None} for name in rows} | (features or {})
-    told = {"codebase_version": "v3.0", "fps": fps, "total_frames": num_rows, "features": described, **(info or {})}
+    result = {"codebase_version": "v3.0", "fps": fps, "total_frames": num_rows, "features": described, **(info or {})}
     (folder / "meta" / "episodes" / "chunk-000").mkdir(parents=True)
-    (folder / "meta" / "info.json").write_text(json.dumps(told))
+    (folder / "meta" / "info.json").write_text(json.dumps(result))
     counted = [len(each["actions"]) for each in found] if lengths is None else lengths
     noted = pa.table({"episode_index": list(range(len(counted))), "length": counted, "stats/action/min": counted})
     pq.write_table(noted, folder / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
@@ -129,8 +129,8 @@ def as_version_2(folder):
     shutil.rmtree(folder / "meta" / "episodes")
     if (folder / "meta" / "tasks.parquet").exists():
         tasks = pd.read_parquet(folder / "meta" / "tasks.parquet")
-        told = pd.DataFrame({"task_index": tasks["task_index"], "task": tasks.index})
-        told.to_json(folder / "meta" / "tasks.jsonl", orient="records", lines=True)
+        result = pd.DataFrame({"task_index": tasks["task_index"], "task": tasks.index})
+        result.to_json(folder / "meta" / "tasks.jsonl", orient="records", lines=True)
         (folder / "meta" / "tasks.parquet").unlink()
     return folder
 

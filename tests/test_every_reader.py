@@ -192,13 +192,13 @@ TORN = [
 """File, what reads it, and what is said where it broke off."""
 
 
-@pytest.mark.parametrize(("name", "read", "told"), TORN)
-def test_a_file_that_breaks_off_is_refused(place, name, read, told):
+@pytest.mark.parametrize(("name", "read", "message"), TORN)
+def test_a_file_that_breaks_off_is_refused(place, name, read, message):
     file = place / name
     content = file.read_bytes()
     for share in (0.0, 0.05, 0.1, 0.3, 0.5, 0.6, 0.9, 0.99):
         file.write_bytes(content[: int(share * len(content))])
-        assert re.search(told, refused(read, file))
+        assert re.search(message, refused(read, file))
     file.unlink()
     refused(read, file)
 
@@ -258,8 +258,8 @@ def test_a_text_that_is_stored_once_counts_in_every_row(place, monkeypatch, nest
     plain = texts.cast(pa.string())
     column = pa.ListArray.from_arrays(np.arange(0, 3001, 3), plain) if nested else plain
     pq.write_table(pa.table({"x": column, "y": np.arange(len(column))}), file)
-    told = bytes_of_texts(chunks_of(file), file, pq.ParquetFile(file))
-    assert told == sum(len(text or "") for text in plain.to_pylist())
+    result = bytes_of_texts(chunks_of(file), file, pq.ParquetFile(file))
+    assert result == sum(len(text or "") for text in plain.to_pylist())
 
 
 @pytest.mark.parametrize("column", ["trajectory", "stage", "action"])
@@ -271,9 +271,9 @@ def test_part_by_part_a_missing_column_is_refused_too(place, column):
 
 def test_a_type_that_is_nested_too_deeply_is_refused(place):
     file = place / "csv" / "columns.json"
-    told = json.loads(file.read_text())
-    told["tables"]["stages"]["x1"] = "list<" * 5000 + "double" + ">" * 5000
-    file.write_text(json.dumps(told))
+    result = json.loads(file.read_text())
+    result["tables"]["stages"]["x1"] = "list<" * 5000 + "double" + ">" * 5000
+    file.write_text(json.dumps(result))
     assert "nested more than 64 levels" in refused(formats.read_csv, place / "csv")
     file.unlink()
     stages = pd.read_csv(place / "csv" / "stages.csv", float_precision="round_trip").assign(x1="[" * 3000 + "]" * 3000)

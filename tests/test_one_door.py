@@ -61,7 +61,7 @@ def test_no_more_memory_is_asked_for_than_a_file_has(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("error", "told"),
+    ("error", "message"),
     [
         (OSError(2, "No such file or directory", "a"), "No such file or directory"),
         (ValueError("line 1\nline 2"), "line 1"),
@@ -72,8 +72,8 @@ def test_no_more_memory_is_asked_for_than_a_file_has(tmp_path):
         (ValueError("x" * 300), "x" * 200),
     ],
 )
-def test_the_reason_is_one_short_line_for_users(error, told):
-    assert reading.reason_of(error) == told
+def test_the_reason_is_one_short_line_for_users(error, message):
+    assert reading.reason_of(error) == message
 
 
 def test_a_file_that_is_too_large_is_refused_unless_that_is_meant(tmp_path, monkeypatch):
@@ -86,7 +86,7 @@ def test_a_file_that_is_too_large_is_refused_unless_that_is_meant(tmp_path, monk
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("[" * 100_000, "nested more than 64 levels"),
         ("[" * 66 + "]" * 66, "nested more than 64 levels"),
@@ -100,8 +100,8 @@ def test_a_file_that_is_too_large_is_refused_unless_that_is_meant(tmp_path, monk
         ('{"a": {"b": 1, "c": 2, "b": 1}}', "'b' is given twice in an object"),
     ],
 )
-def test_json_that_would_do_harm_is_refused(text, told):
-    with pytest.raises(ValueError, match=told):
+def test_json_that_would_do_harm_is_refused(text, message):
+    with pytest.raises(ValueError, match=message):
         json_of(text)
 
 
@@ -151,10 +151,10 @@ def test_arrays_that_state_more_than_is_there_are_refused_before_they_are_asked_
         "objects": (member({"descr": "|O", "fortran_order": False, "shape": (1,)}, b"x"), "never pickled"),
         "nothing": (b"", "EOF|magic"),
     }
-    for content, told in bad.values():
+    for content, message in bad.values():
         with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
             archive.writestr("a.npy", content)
-        with pytest.raises(ValueError, match=told):
+        with pytest.raises(ValueError, match=message):
             read_arrays(tmp_path / "a.npz")
     for content in (b"", b"hello there", b"PK\x03\x04" + b"\0" * 100):
         (tmp_path / "a.npz").write_bytes(content)

@@ -31,7 +31,7 @@ def test_a_package_loads_nothing_heavy_that_it_does_not_need():
     assert run("\n".join(code), check=True).stdout.splitlines() == [statement for statement, _ in LOADS]
 
 
-def test_lazy_names_are_listed_and_unknown_ones_are_told():
+def test_lazy_names_are_listed_and_unknown_ones_are_reported():
     failed = run(f"import halfseen.world as package\n{EVERY_NAME}\npackage.Wrold", check=False)
     assert "has no attribute 'Wrold'; it has ActionSpace, " in failed.stderr
     assert "Attempt, Explanation, ExploringPolicy, " in failed.stderr
@@ -63,8 +63,8 @@ print(dict(jax.config.values) == settings, (np.random.get_state()[1] == state).a
 )
 def test_gymnasium_knows_the_tables_and_loads_no_jax_to_make_one(first, env_ids):
     made = f"[gymnasium.make(name).spec.id for name in {env_ids}]"
-    told = run(f"import sys\n{first}\nprint(*{made}, 'jax' in sys.modules)", check=True).stdout.split()
-    assert told == [*(name.split(":")[-1] for name in env_ids), "False"]
+    output = run(f"import sys\n{first}\nprint(*{made}, 'jax' in sys.modules)", check=True).stdout.split()
+    assert output == [*(name.split(":")[-1] for name in env_ids), "False"]
 
 
 SOURCE = Path(__file__).parent.parent / "src"

@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 
 from halfseen import progress
-from halfseen.progress import Progress, Telling, in_words, telling, time_left_s
+from halfseen.progress import Progress, Verbosity, in_words, time_left_s, verbosity
 
 
 class Terminal(io.StringIO):
@@ -25,7 +25,7 @@ def fast(monkeypatch):
 
 def shown(monkeypatch, file, what, work):
     monkeypatch.setattr("sys.stderr", file)
-    with telling(what):
+    with verbosity(what):
         work()
     return file.getvalue()
 
@@ -54,28 +54,28 @@ def nested(shows):
 
 def test_a_terminal_sees_a_bar_with_the_time_left_that_goes_when_it_is_over(fast, monkeypatch):
     bar = r"learn +25%\|.*\| \d\d:\d\d, (\?|\d\d:\d\d) left"
-    told = shown(monkeypatch, Terminal(), Telling.BARS, partial(two_steps, bar))
-    assert told.split("\r")[-1].strip() == ""
+    output = shown(monkeypatch, Terminal(), Verbosity.BARS, partial(two_steps, bar))
+    assert output.split("\r")[-1].strip() == ""
 
 
 def test_a_part_has_its_bar_below_on_a_terminal(fast, monkeypatch):
     below = r"(?s)outside   0%.*inside +50%\|[^|]*\| 1/2 draws \d\d:\d\d|inside +50%\|[^|]*\| 1/2 draws.*outside   0%"
-    shown(monkeypatch, Terminal(), Telling.LINES, partial(nested, below))
+    shown(monkeypatch, Terminal(), Verbosity.LINES, partial(nested, below))
 
 
 def test_elsewhere_lines_are_for_the_command_line_alone(fast, monkeypatch):
-    assert shown(monkeypatch, io.StringIO(), Telling.BARS, two_steps) == ""
-    told = shown(monkeypatch, io.StringIO(), Telling.LINES, partial(two_steps, "learn.*\n"))
-    assert re.fullmatch(r"(halfseen: learn, 25%, \d+ s so far(, about \d+ s left)?\n)+", told)
+    assert shown(monkeypatch, io.StringIO(), Verbosity.BARS, two_steps) == ""
+    output = shown(monkeypatch, io.StringIO(), Verbosity.LINES, partial(two_steps, "learn.*\n"))
+    assert re.fullmatch(r"(halfseen: learn, 25%, \d+ s so far(, about \d+ s left)?\n)+", output)
 
 
 def test_lines_are_of_the_work_and_not_of_its_parts(fast, monkeypatch):
-    assert "inside" not in shown(monkeypatch, io.StringIO(), Telling.LINES, partial(nested, "outside"))
+    assert "inside" not in shown(monkeypatch, io.StringIO(), Verbosity.LINES, partial(nested, "outside"))
 
 
 @pytest.mark.parametrize("file", [io.StringIO, Terminal])
 def test_quiet_is_quiet(fast, monkeypatch, file):
-    assert shown(monkeypatch, file(), Telling.NOTHING, partial(nested, None)) == ""
+    assert shown(monkeypatch, file(), Verbosity.NOTHING, partial(nested, None)) == ""
 
 
 @pytest.mark.parametrize("file", [io.StringIO, Terminal])
@@ -84,7 +84,7 @@ def test_what_is_over_at_once_shows_nothing(monkeypatch, file):
         with Progress(3, "short") as bar:
             bar.update(3)
 
-    assert shown(monkeypatch, file(), Telling.LINES, work) == ""
+    assert shown(monkeypatch, file(), Verbosity.LINES, work) == ""
 
 
 def test_an_error_leaves_no_bar_and_the_same_telling(fast, monkeypatch):
@@ -97,9 +97,9 @@ def test_an_error_leaves_no_bar_and_the_same_telling(fast, monkeypatch):
         with pytest.raises(KeyError):
             stop()
 
-    told = shown(monkeypatch, Terminal(), Telling.BARS, fails)
-    assert told.split("\r")[-1].strip() == ""
-    assert shown(monkeypatch, io.StringIO(), Telling.BARS, two_steps) == ""
+    output = shown(monkeypatch, Terminal(), Verbosity.BARS, fails)
+    assert output.split("\r")[-1].strip() == ""
+    assert shown(monkeypatch, io.StringIO(), Verbosity.BARS, two_steps) == ""
 
 
 def test_a_line_says_how_far_it_is():

@@ -110,8 +110,8 @@ def test_of_many_that_write_one_folder_exactly_one_does(tmp_path):
 
 def test_no_device_is_replaced_and_a_link_goes_on_pointing(tmp_path):
     os.mkfifo(tmp_path / "pipe")
-    for there, told in (("pipe", "a device, a pipe or the like"), (".", "a folder")):
-        with pytest.raises(ArgumentError, match=told):
+    for there, message in (("pipe", "a device, a pipe or the like"), (".", "a folder")):
+        with pytest.raises(ArgumentError, match=message):
             write_file(tmp_path / there, "")
     (tmp_path / "link").symlink_to("file")
     write_file(tmp_path / "link", "through")

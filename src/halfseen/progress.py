@@ -25,7 +25,7 @@ _FORM_OF_UNITS = "{desc} {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} {unit} {e
 _FORM_WITHOUT_END = "{desc} {n_fmt} {unit} {elapsed}"
 
 
-class Telling(Enum):
+class Verbosity(Enum):
     """What progress shows."""
 
     BARS = "bars on a terminal"
@@ -33,17 +33,17 @@ class Telling(Enum):
     NOTHING = "nothing"
 
 
-_telling: ContextVar[Telling] = ContextVar("telling", default=Telling.BARS)
+_verbosity: ContextVar[Verbosity] = ContextVar("telling", default=Verbosity.BARS)
 
 
 @contextmanager
-def telling(what: Telling) -> Iterator[None]:
+def verbosity(what: Verbosity) -> Iterator[None]:
     """Set what progress shows within the block."""
-    before = _telling.set(what)
+    before = _verbosity.set(what)
     try:
         yield
     finally:
-        _telling.reset(before)
+        _verbosity.reset(before)
 
 
 class Progress:
@@ -67,10 +67,10 @@ class Progress:
         self._is_over, self._inner, self._teller = Event(), ExitStack(), None
 
     def __enter__(self) -> "Progress":
-        self._begin_s, shown = time.monotonic(), _telling.get()
-        self._inner.enter_context(telling(Telling.BARS if shown is Telling.LINES else shown))
-        is_drawn = shown is not Telling.NOTHING and sys.stderr.isatty()
-        if is_drawn or shown is Telling.LINES:
+        self._begin_s, shown = time.monotonic(), _verbosity.get()
+        self._inner.enter_context(verbosity(Verbosity.BARS if shown is Verbosity.LINES else shown))
+        is_drawn = shown is not Verbosity.NOTHING and sys.stderr.isatty()
+        if is_drawn or shown is Verbosity.LINES:
             self._teller = Thread(target=self._draw if is_drawn else self._write, args=(sys.stderr,), daemon=True)
             self._teller.start()
         return self

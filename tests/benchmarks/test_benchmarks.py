@@ -15,7 +15,7 @@ from peers.behaviour_cloning import cloned
 from peers.completed import begun
 from peers.fitted_q import iterated
 from scipy.special import logit
-from two_arms import ONE, TWO, print_told, ratio, runs_in, told_of
+from two_arms import ONE, TWO, print_summary, ratio, runs_in, summary_of
 from worlds.examples import Cell, Trial
 from worlds.haze import Haze
 from worlds.policies import policies_of
@@ -161,7 +161,7 @@ def runs(*seconds, cut=()):
 def test_what_another_call_has_found_is_kept_if_it_is_of_the_same_tables(tmp_path):
     file, of = tmp_path / "found.json", {"seed": 1, "rule": "everything"}
     assert runs_in(file, of) == {}
-    plans = {ONE: told_of(runs(10.0, 20.0), None), TWO: told_of(runs(5.0), None)}
+    plans = {ONE: summary_of(runs(10.0, 20.0), None), TWO: summary_of(runs(5.0), None)}
     file.write_text(json.dumps({**of, "plans": plans}))
     assert runs_in(file, of) == {ONE: runs(10.0, 20.0), TWO: runs(5.0)}
     with pytest.raises(SystemExit, match=r"holds tables of .*'seed': 1.*choose another --out"):
@@ -176,12 +176,12 @@ def test_tables_that_both_have_cleared_are_compared():
 
 
 def test_tables_that_were_cut_are_printed_and_are_in_no_time(capsys):
-    told = told_of(runs(5.0, 100.0, 7.0, cut=(1,)), runs(10.0, 10.0, 12.0))
-    print_told(TWO, told)
+    result = summary_of(runs(5.0, 100.0, 7.0, cut=(1,)), runs(10.0, 10.0, 12.0))
+    print_summary(TWO, result)
     printed = capsys.readouterr().out
     assert "cut 1 by deadlock" in printed
     assert "6.0 s a table" in printed
-    assert told["ratio"]["value"] == 12.0 / 22.0
+    assert result["ratio"]["value"] == 12.0 / 22.0
 
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"

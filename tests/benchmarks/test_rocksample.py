@@ -64,9 +64,9 @@ def test_steps_are_those_of_pomdp_py():
             assert then.rocktypes == tuple(np.where(moved.is_good[row], "good", "bad").tolist())
             assert (then.terminal, pays.sample(state, action, then)) == (moved.is_out[row], reward[row])
             if number >= CHECK:
-                told = theirs.Observation(state.rocktypes[number - CHECK])
+                result = theirs.Observation(state.rocktypes[number - CHECK])
                 assert observation.probability("good", then, action) == pytest.approx(
-                    right[row, number - CHECK] if told.quality == "good" else 1.0 - right[row, number - CHECK]
+                    right[row, number - CHECK] if result.quality == "good" else 1.0 - right[row, number - CHECK]
                 )
 
 

@@ -101,7 +101,7 @@ def test_kept_results_make_tables(module):
     assert "nan" not in printed
 
 
-def test_what_is_told_all_of_a_state_but_its_best_action_finds_it_and_a_rule_decides_where_none_knows(world):
+def test_what_is_reported_all_of_a_state_but_its_best_action_finds_it_and_a_rule_decides_where_none_knows(world):
     counts = counted(world, [(0, 0, 1, 40), (1, 0, 2, 36), (1, 0, 3, 14), (1, 1, 3, 9)])
     policy = icu_sepsis.informed(world, counts, EVEN)
     assert policy[1].tolist() == [1.0, 0.0]
@@ -145,7 +145,7 @@ def small():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.5])
-def test_what_a_policy_earns_more_than_the_log_is_told_without_bias_and_intervals_hold(share):
+def test_what_a_policy_earns_more_than_the_log_is_reported_without_bias_and_intervals_hold(share):
     world, rule = small()
     other = np.eye(3)[np.random.default_rng(1).integers(3, size=27)]
     truth, found = world.worth(other) - world.worth(rule), []

@@ -146,10 +146,10 @@ def test_times_are_those_of_attempts_that_hold_and_that_miss_weighted_where_long
     assert fit_times(tried).log_held_s == pytest.approx(2.0, abs=0.02)
 
 
-def labels(*told):
+def labels(*message):
     """One object's labels: hidden share, held or not, what it looked like."""
     return dict(
-        zip(("glance_occlusions", "glance_held", "glance_dirty"), map(list, zip(*told, strict=True)), strict=True)
+        zip(("glance_occlusions", "glance_held", "glance_dirty"), map(list, zip(*message, strict=True)), strict=True)
     )
 
 
@@ -167,9 +167,9 @@ def test_a_label_that_shows_nothing_new_is_no_news():
     assert intervals(rows) == [(most, np.inf), (half, facing), (0.0, facing), (least, 1.0)]
 
 
-def naive_found_by(told):
+def naive_found_by(message):
     """Maximise the likelihood of the masses by a general optimiser."""
-    low, high = (np.array(ends) for ends in zip(*told, strict=True))
+    low, high = (np.array(ends) for ends in zip(*message, strict=True))
     knots = np.array(list(pairwise([0.0, *VIEWS])))
 
     def curve(mass, share):
@@ -190,15 +190,15 @@ def naive_found_by(told):
 
 
 def test_curves_are_the_most_likely_ones():
-    rng, told = np.random.default_rng(5), []
+    rng, result = np.random.default_rng(5), []
     for _ in range(60):
         share = rng.choice([rng.uniform(0, FACING_SHARE), rng.uniform(FACING_SHARE, 1.0), np.inf])
         views = np.sort(rng.uniform(0.0, FACING_SHARE, 3))
         views = [0.0, *views, *([1.0] if rng.random() < 0.5 else [])]
         reached = [view for view in views if view >= share]
-        told.append((max(v for v in views if v < share), reached[0]) if reached else (views[-1], np.inf))
-    np.testing.assert_allclose(found_by(told), naive_found_by(told), atol=0.01)
-    assert np.all(np.diff([0.0, *found_by(told)]) >= 0)
+        result.append((max(v for v in views if v < share), reached[0]) if reached else (views[-1], np.inf))
+    np.testing.assert_allclose(found_by(result), naive_found_by(result), atol=0.01)
+    assert np.all(np.diff([0.0, *found_by(result)]) >= 0)
 
 
 def test_objects_are_counted_at_their_first_label_and_when_they_are_held():

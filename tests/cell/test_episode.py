@@ -83,7 +83,7 @@ def test_washing_the_dirty_cup_and_finishing_earns_five_and_the_log_tells_all(tm
     assert logs.stages["reward"].tolist() == [5.0, 0.0]
     assert logs.is_finished.all()
     assert 10.0 < run.seconds < 40.0
-    # The label of the stain that faces the camera was right, and the log says what was told and what was true.
+    # The label of the stain that faces the camera was right, and the log says what was said and what was true.
     first = logs.objects[logs.objects["stage"] == 1].sort_values("object")
     assert [list(each) for each in first["glance_dirty"]] == [[number == dirty] for number in range(2)]
     assert first["is_dirty"].tolist() == [number == dirty for number in range(2)]

@@ -70,15 +70,15 @@ def asking(place, **options):
     return (yield Reserve(place[None], **options))
 
 
-def there_and_back(place, home, told=None, seconds=0.2):
+def there_and_back(place, home, result=None, seconds=0.2):
     """Reserve, go to a place, stay, and come home; whether the answer was yes."""
     is_free = yield Reserve(np.stack([place, home]))
     if is_free:
         yield Move(place[None])
         yield Rest(seconds)
         yield Move(home[None])
-    if told is not None:
-        told.append("home")
+    if result is not None:
+        result.append("home")
     return is_free
 
 
@@ -142,9 +142,9 @@ def test_arms_with_room_for_both_move_at_once(cell, touches):
 
 @pytest.mark.slow
 def test_an_arm_waits_until_the_space_that_it_wants_is_free(cell, touches):
-    told = [[], []]
-    executor = begun(cell, *(there_and_back(at(cell, arm, 0.0), HOMES[arm], told[arm]) for arm in (0, 1)))
-    assert (results(executor, 1), told) == ({0: True}, [["home"], []])
+    result = [[], []]
+    executor = begun(cell, *(there_and_back(at(cell, arm, 0.0), HOMES[arm], result[arm]) for arm in (0, 1)))
+    assert (results(executor, 1), result) == ({0: True}, [["home"], []])
     alone_s = cell.time_s
     assert results(executor, 1) == {1: True}
     # It set out when the other had left, not when that was home.

@@ -145,7 +145,7 @@ def test_fingers_open_and_close_alike_and_cups_and_arm_stay_where_they_are():
     np.testing.assert_allclose(cell.angles_rad(ROBOT), HOME, atol=1e-4)
 
 
-def test_a_cup_is_shown_from_two_opposite_sides_and_what_is_held_is_told_from_what_stands_below():
+def test_a_cup_is_shown_from_two_opposite_sides_and_what_is_held_is_reported_from_what_stands_below():
     cell = LiveCell(cell_model([], []), [ROBOT])
     kinematics, closing = cell.kinematics[ROBOT.name], []
     grasp = Grasp("around", np.array([0.05, -0.02, 0.08]), DOWN_AXES, 0.1)

@@ -156,7 +156,7 @@ class Asked(NamedTuple):
     angles_rad: np.ndarray
 
 
-def told(cell, activity, refused):
+def carried_out(cell, activity, refused):
     """Carry out an activity, and answer no to the reservations whose numbers are in `refused`.
 
     What is only tried is granted the first time, and no reservation of its own where that is refused: the patient one
@@ -185,7 +185,7 @@ def assert_home_with_nothing_in_hand(cell):
 @pytest.mark.slow
 def test_whose_hand_closed_on_nothing_goes_home_all_the_same(cell, monkeypatch):
     monkeypatch.setattr("halfseen.cell.fetching.feels", lambda *_: False)
-    attempt, asked = told(cell, cell.washing(0, 0), {1})
+    attempt, asked = carried_out(cell, cell.washing(0, 0), {1})
     assert len(asked) == 2
     np.testing.assert_array_equal(asked[1].command.way, asked[1].command.back)
     assert not attempt.is_held
@@ -210,7 +210,7 @@ def test_who_gives_way_puts_back_what_it_holds_by_the_way_that_it_reserved_and_w
 ):
     known, gone = cell.memory.objects[0], []
     cell.cell.watches.append(lambda live: gone.append((live.time_s, live.angles_rad(LEFT))))
-    attempt, asked = told(cell, getattr(cell, work)(0, 0), {phase})
+    attempt, asked = carried_out(cell, getattr(cell, work)(0, 0), {phase})
     # The way back was granted with the answer: nothing more is asked for.
     assert len(asked) == phase + 1
     assert (attempt.is_held, known.lifts) == (is_held, lifts)
@@ -236,7 +236,7 @@ def test_who_gives_way_puts_back_what_it_holds_by_the_way_that_it_reserved_and_w
     assert cup.rotation[2, 2] > 0.99
     assert not known.is_racked
     if (work, phase) == ("washing", 1):
-        again, _ = told(cell, cell.washing(0, 0), set())
+        again, _ = carried_out(cell, cell.washing(0, 0), set())
         assert again.is_held
         assert known.is_racked
 
@@ -247,7 +247,7 @@ def test_what_is_put_back_is_the_same_object_to_whoever_looks_meanwhile():
     cell = looked_at(FULL_CAMERA)
     known, seen = cell.memory.objects[0], []
     cell.cell.watches.append(lambda live: seen.append(cell.look()) if round(live.time_s, 2) % 0.5 == 0 else None)
-    told(cell, cell.lifting(0, 0), set())
+    carried_out(cell, cell.lifting(0, 0), set())
     assert len(seen) > 10
     cell.look()
     assert cell.memory.objects == [known]

@@ -1,4 +1,4 @@
-"""Means of tables that were cut are told with what they are worth, and not where nothing came to its end; luck."""
+"""Means of tables that were cut are reported with what they are worth, and not where nothing came to its end; luck."""
 
 import itertools
 
@@ -28,14 +28,14 @@ def logs_of_tables(num):
     return Logs(stages | {"reward": [0.0] * num}, trajectories, objects)
 
 
-def told(*runs, policy=GREEDY):
+def summary_of(*runs, policy=GREEDY):
     """The summary of runs."""
     made = [Run(verbs={"FINISH": 1}, **run) for run in runs]
     return summarised(made, logs_of_tables(len(made)), policy, CONFIG, 0)
 
 
-def test_without_cuts_the_mean_is_the_mean_and_luck_is_told_apart_from_the_rest():
-    found = told(*({"reward": r, "luck": 2.0 * r - 9.0, "seconds": 10.0 + r} for r in (1.0, 3.0, 8.0)))
+def test_without_cuts_the_mean_is_the_mean_and_luck_is_distinguished_from_the_rest():
+    found = summary_of(*({"reward": r, "luck": 2.0 * r - 9.0, "seconds": 10.0 + r} for r in (1.0, 3.0, 8.0)))
     error = np.std([1, 3, 8], ddof=1) / np.sqrt(3)
     assert (found.reward.value, found.luck.value, found.without_luck.value) == pytest.approx((4.0, -1.0, 5.0))
     assert (found.reward.standard_error, found.without_luck.standard_error) == pytest.approx((error, error))
@@ -45,11 +45,11 @@ def test_without_cuts_the_mean_is_the_mean_and_luck_is_told_apart_from_the_rest(
 
 def test_a_cut_table_is_stood_for_by_longer_ones_and_where_nearly_all_was_cut_nothing_is_said():
     cut = {"seconds": 20.0, "cause": "battery"}
-    found = told({"reward": 1.0, "seconds": 10.0}, cut, {"reward": 7.0, "seconds": 30.0})
+    found = summary_of({"reward": 1.0, "seconds": 10.0}, cut, {"reward": 7.0, "seconds": 30.0})
     assert found.reward.value == pytest.approx((1.0 + 2 * 7.0) / 3)
     assert found.causes == {"battery": 1}
     for num_finished in (0, 1):
-        found = told(*[{"reward": 2.0, "seconds": 5.0}] * num_finished, *[cut] * (4 - num_finished))
+        found = summary_of(*[{"reward": 2.0, "seconds": 5.0}] * num_finished, *[cut] * (4 - num_finished))
         assert (found.reward, found.gap) == (None, None)
 
 
@@ -60,7 +60,7 @@ def test_a_cut_table_is_stood_for_by_longer_ones_and_where_nearly_all_was_cut_no
 def test_a_planner_which_is_slow_foretells_from_few_episodes(policy, per_table, monkeypatch):
     asked = []
     monkeypatch.setattr(summary, "evaluate", lambda *given: (asked.append(given[-1]), evaluate(*given))[1])
-    found = told(*({"reward": reward, "seconds": 1.0} for reward in (1.0, 3.0)), policy=policy)
+    found = summary_of(*({"reward": reward, "seconds": 1.0} for reward in (1.0, 3.0)), policy=policy)
     assert asked == [2 * per_table]
     assert np.isfinite(found.predicted.value)
 

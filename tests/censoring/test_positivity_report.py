@@ -150,7 +150,7 @@ LATE = KaplanMeier().fit([1.0, 2.0, 3.0], [False, True, True])
 
 
 @pytest.mark.parametrize(
-    ("time", "is_finished", "model", "mean_weight", "told"),
+    ("time", "is_finished", "model", "mean_weight", "message"),
     [
         ([1.0, 2.0, 3.0, 4.0], [True] * 4, LATE, 1.375, "1 trajectory finished later"),
         (np.arange(1.0, 41.0), [True] * 40, TooWary(), 2.0, "overestimates the probability of cuts"),
@@ -163,10 +163,10 @@ LATE = KaplanMeier().fit([1.0, 2.0, 3.0], [False, True, True])
         ),
     ],
 )
-def test_a_mean_weight_other_than_one_is_told(time, is_finished, model, mean_weight, told):
+def test_a_mean_weight_other_than_one_is_reported(time, is_finished, model, mean_weight, message):
     report = positivity_report(time, is_finished, model)
     assert report.mean_weight == pytest.approx(mean_weight)
-    assert told in str(report)
+    assert message in str(report)
     assert report.ends_in_cut == (not is_finished[-1])
 
 

@@ -88,7 +88,7 @@ TURNED = ["b", "a", "c", "d"]
 
 
 @pytest.mark.parametrize(
-    ("asks", "told"),
+    ("asks", "message"),
     [
         (
             lambda: KaplanMeier().fit(ENDS, IS_FINISHED[TURNED]),
@@ -106,8 +106,8 @@ TURNED = ["b", "a", "c", "d"]
         (lambda: CensoredSVC(tau=6.0).fit(CLUTTER, (ENDS[TURNED], FINISHED)), "y, row 0: its label is 'b'"),
     ],
 )
-def test_rows_of_pandas_in_another_order_are_not_mixed_up(asks, told):
-    with refused(told):
+def test_rows_of_pandas_in_another_order_are_not_mixed_up(asks, message):
+    with refused(message):
         asks()
 
 

@@ -91,12 +91,12 @@ def test_csv_and_json_say_the_same_and_people_get_the_reason_first(flat, tmp_pat
     assert "warning: x1 is 800, outside the logs (" in run(flat, far, "--extrapolate")
 
 
-def test_that_nothing_speaks_for_the_policy_is_told_at_each_decision(tmp_path):
+def test_that_nothing_speaks_for_the_policy_is_reported_at_each_decision(tmp_path):
     verdict = {"verdict": "not better", "reason": "it earns 2 less a trajectory than b, between -3 and -1 more"}
     kept(flat_learner(), FLAT, tmp_path / "p", verdict=verdict | {"sentence": "Not better: …."})
-    told = f"no evidence that this policy beats the rule that made the logs: {verdict['reason']}"
-    assert run(tmp_path / "p", state(tmp_path)).splitlines()[1] == f"warning: {told}"
-    assert report_of(tmp_path / "p", state(tmp_path))["warnings"] == [told, DULL]
+    labels = f"no evidence that this policy beats the rule that made the logs: {verdict['reason']}"
+    assert run(tmp_path / "p", state(tmp_path)).splitlines()[1] == f"warning: {labels}"
+    assert report_of(tmp_path / "p", state(tmp_path))["warnings"] == [labels, DULL]
 
 
 def test_a_table_is_decided_from_its_cloud(tables):
@@ -130,7 +130,7 @@ def test_how_sure_it_is_stands_beside_each_value(sure, tmp_path):
         assert best == f"{report['chance_best'][name]:.0%}"
 
 
-def test_values_in_a_large_unit_are_told_apart(tmp_path):
+def test_values_in_a_large_unit_are_distinguished(tmp_path):
     small = Logs(FLAT.stages.assign(reward=FLAT.stages["reward"] * 1e-4), FLAT.trajectories)
     kept(flat_learner(), small, tmp_path / "small")
     report, lines = (ask(tmp_path / "small", state(tmp_path)) for ask in (report_of, run))
@@ -151,7 +151,7 @@ def test_a_picture_is_drawn_and_stands_for_nothing_that_is_there(sure, tmp_path)
     assert len(list((tmp_path / "new").iterdir())) == 2
 
 
-def test_a_table_of_other_things_is_told_of_first(tables, tmp_path):
+def test_a_table_of_other_things_is_reported_of_first(tables, tmp_path):
     write_pcd(boxes_cloud(), tmp_path / "boxes.pcd")
     lines = run(tables, tmp_path / "boxes.pcd").splitlines()
     assert lines[0].startswith("warning: this is not a table of cups, and nothing was learned about other objects: 0 ")
@@ -163,10 +163,10 @@ def test_a_table_of_other_things_is_told_of_first(tables, tmp_path):
 def test_a_decision_tells_what_is_left_out_and_hides(tables, tmp_path):
     write_pcd(draw(Can(-0.40, 0.02), Can(-0.43, -0.08, 0.06, 0.14), Can(0.1, 0.0)).cloud, tmp_path / "cut.pcd")
     hidden = [seen.id for seen in perceive(read_cloud(tmp_path / "cut.pcd")).objects if seen.occlusion > 0.1]
-    told = (
+    message = (
         f"left out: 1 that the image border cuts; what is cut by the image border or beside the table hides {hidden[0]}"
     )
-    assert f"{told}, which counts as in view" in report_of(tables, tmp_path / "cut.pcd")["warnings"]
+    assert f"{message}, which counts as in view" in report_of(tables, tmp_path / "cut.pcd")["warnings"]
     assert "left out" not in run(tables, TABLE)
 
 
@@ -217,10 +217,10 @@ def test_a_label_is_worth_what_the_law_says_to_a_policy_that_counts_views(tables
     assert kept(CensoredQLearner.for_table(3, reg=0.1), logs, policy).record["schema"]["counts_views"]
     positive = law.seeing.positive(view.scene().occlusion, 0.0)
     expected = label_evidence(*positive, np.array([True, *[False] * 4]))
-    told, plain = (see_table(read_policy(policy), file, law=law).present.state for file in (cloud, TABLE))
-    np.testing.assert_allclose(told.log_odds - plain.log_odds, expected, rtol=1e-4)
-    np.testing.assert_allclose(told.grip, law.scene(view).grip, rtol=1e-5)
-    chances = 1 / (1 + np.exp(-told.log_odds.astype(float)))
+    result, plain = (see_table(read_policy(policy), file, law=law).present.state for file in (cloud, TABLE))
+    np.testing.assert_allclose(result.log_odds - plain.log_odds, expected, rtol=1e-4)
+    np.testing.assert_allclose(result.grip, law.scene(view).grip, rtol=1e-5)
+    chances = 1 / (1 + np.exp(-result.log_odds.astype(float)))
     by = f"P(dirty) is {', '.join(f'{k}: {chance:.2f}' for k, chance in enumerate(chances))}."
     for words, is_so in (((), True), (("--law", "shipped"), True), (("--law", "assumed"), False)):
         assert (by in run(policy, cloud, *words)) is is_so
@@ -237,7 +237,7 @@ def test_a_history_tells_what_was_seen_before_and_what_it_holds_is_not_counted_a
     assert "leave --stage out" in refused("act", tables, TABLE, "--history", begun, "--stage", 2)
 
 
-def test_a_policy_is_exported_once_and_replaced_only_when_told(typed, refused, house, tmp_path):
+def test_a_policy_is_exported_once_and_replaced_only_when_reported(typed, refused, house, tmp_path):
     out = tmp_path / "policy.onnx"
     done = typed("export", house / "policy", "--onnx", out)
     assert (done.status, done.out.split()[0]) == (0, f"{out}:")

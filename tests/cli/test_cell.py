@@ -1,4 +1,4 @@
-"""`halfseen cell`: bad input is told in one line before anything moves."""
+"""`halfseen cell`: bad input is reported in one line before anything moves."""
 
 import json
 import os
@@ -60,12 +60,12 @@ def alone(gl, *words):
 
 @pytest.mark.parametrize("gl", ["glfw", "none"])
 def test_a_film_without_opengl(tmp_path, gl):
-    told = alone(gl, "-m", "halfseen.cli", "cell", "film", "--policy", "greedy", "--out", tmp_path / "film.gif")
-    if not told.returncode:
+    result = alone(gl, "-m", "halfseen.cli", "cell", "film", "--policy", "greedy", "--out", tmp_path / "film.gif")
+    if not result.returncode:
         pytest.skip("there is a screen")
-    (line,) = told.stderr.strip().splitlines()
+    (line,) = result.stderr.strip().splitlines()
     assert f"no picture can be drawn here: OpenGL does not start with MUJOCO_GL={gl}" in line
-    assert told.returncode == 2
+    assert result.returncode == 2
     assert list(tmp_path.iterdir()) == []
 
 

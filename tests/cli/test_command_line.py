@@ -17,7 +17,7 @@ from halfseen.cli.messages import EXTRAS, HELD, remedy
 from halfseen.errors import HalfseenWarning, closest, did_you_mean
 from halfseen.installation import command_for
 from halfseen.logs import Logs
-from halfseen.progress import Progress, Telling, _telling
+from halfseen.progress import Progress, Verbosity, _verbosity
 from small_logs import flat_log
 
 VERB_TRAJECTORIES = [(verb,) for verb in VERBS] + [("cell", name) for name in ("calibrate", "run", "film")]
@@ -40,21 +40,21 @@ def test_every_verb_takes_quiet_shows_an_example_and_says_what_each_option_is(tr
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("arguments", "told"),
+    ("arguments", "message"),
     [
-        (["inspect", "{}"], Telling.LINES),
-        (["--quiet", "inspect", "{}"], Telling.NOTHING),
-        (["inspect", "{}", "-q"], Telling.NOTHING),
+        (["inspect", "{}"], Verbosity.LINES),
+        (["--quiet", "inspect", "{}"], Verbosity.NOTHING),
+        (["inspect", "{}", "-q"], Verbosity.NOTHING),
     ],
 )
-def test_quiet_goes_before_or_after_the_verb(typed, house, monkeypatch, arguments, told):
+def test_quiet_goes_before_or_after_the_verb(typed, house, monkeypatch, arguments, message):
     seen, enter = [], Progress.__enter__
-    monkeypatch.setattr(Progress, "__enter__", lambda bar: seen.append(_telling.get()) or enter(bar))
+    monkeypatch.setattr(Progress, "__enter__", lambda bar: seen.append(_verbosity.get()) or enter(bar))
     plain = typed("inspect", house / "logs").out
     seen.clear()
     result = typed(*(argument.format(house / "logs") for argument in arguments))
-    assert (result.status, result.out, result.err, seen) == (0, plain, "", [told])
-    assert _telling.get() is Telling.BARS
+    assert (result.status, result.out, result.err, seen) == (0, plain, "", [message])
+    assert _verbosity.get() is Verbosity.BARS
 
 
 @pytest.mark.parametrize(
@@ -119,9 +119,9 @@ def test_a_shell_completes_verbs_options_and_words(shell, words, incomplete, exp
         ("study", "distributed", "dask"),
     ],
 )
-def test_the_extra_that_brings_a_library_is_told_and_one_that_holds_others_at_once(verb, library, extra):
-    told = remedy(ModuleNotFoundError("none", name=library), *filter(None, [verb]))
-    assert told.endswith(f"run: {command_for(extra)}")
+def test_the_extra_that_brings_a_library_is_reported_and_one_that_holds_others_at_once(verb, library, extra):
+    result = remedy(ModuleNotFoundError("none", name=library), *filter(None, [verb]))
+    assert result.endswith(f"run: {command_for(extra)}")
     assert remedy(ModuleNotFoundError("none", name="numpy")) is None
 
 
@@ -140,9 +140,9 @@ def test_the_extras_of_the_command_line_are_those_of_the_package():
         assert {of_import.get(library, library) for library in libraries} <= named
     assert all(f"`{extra}`" in page for extra in declared)
     for extra, held in HELD.items():
-        told = " ".join(declared[extra])
+        message = " ".join(declared[extra])
         assert all(
-            name in told or any(name in HELD.get(other, ()) and other in told for other in held) for name in held
+            name in message or any(name in HELD.get(other, ()) and other in message for other in held) for name in held
         )
 
 
@@ -161,7 +161,7 @@ def raising(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("raised", "told"),
+    ("raised", "message"),
     [
         (PermissionError(13, "Permission denied", "/a/b"), "/a/b: permission denied; ask for the right to it"),
         (OSError(36, "File name too long", "n" * 300), "nnn: file name too long; give a shorter name"),
@@ -169,16 +169,16 @@ def raising(monkeypatch):
         (MemoryError("Unable to allocate 8.00 TiB"), "out of memory (Unable to allocate 8.00 TiB)"),
         (RuntimeError("RESOURCE_EXHAUSTED: Out of memory"), "out of memory (RESOURCE_EXHAUSTED"),
         (RecursionError("maximum recursion depth exceeded"), "nested too deeply to be read; write it with fewer"),
-        # A library that is not there is told with the extra that brings it.
+        # A library that is not there is reported with the extra that brings it.
         (ModuleNotFoundError("none", name="skimage.measure"), "halfseen: skimage is not installed"),
     ],
 )
-def test_what_nobody_foresaw_is_one_line(refused, raising, raised, told):
+def test_what_nobody_foresaw_is_one_line(refused, raising, raised, message):
     raising(raised)
-    assert told in refused("inspect", "x")
+    assert message in refused("inspect", "x")
 
 
-def test_a_defect_of_halfseen_is_told_as_one(typed, raising):
+def test_a_defect_of_halfseen_is_reported_as_one(typed, raising):
     raising(RuntimeError("a defect"))
     with pytest.raises(RuntimeError, match="a defect"):
         typed("inspect", "x")
@@ -198,9 +198,9 @@ def test_names_and_values_of_a_log_command_no_terminal(typed, tmp_path):
 
 @pytest.mark.filterwarnings("always")
 @pytest.mark.parametrize(
-    ("asked", "told"), [([], ["halfseen: mean it"]), (["default"], ["halfseen: mean it", "inner"])]
+    ("asked", "words"), [([], ["halfseen: mean it"]), (["default"], ["halfseen: mean it", "inner"])]
 )
-def test_what_libraries_warn_each_other_of_is_told_where_it_is_asked_for(typed, monkeypatch, asked, told):
+def test_what_libraries_warn_each_other_of_is_reported_where_it_is_asked_for(typed, monkeypatch, asked, words):
     @click.command()
     def warn():
         warnings.warn("inner", RuntimeWarning, stacklevel=1)
@@ -211,7 +211,7 @@ def test_what_libraries_warn_each_other_of_is_told_where_it_is_asked_for(typed, 
     monkeypatch.setattr(sys, "warnoptions", asked)
     monkeypatch.setitem(VERBS, "warn", "Warn.")
     monkeypatch.setitem(sys.modules, "halfseen.cli.warn", SimpleNamespace(warn=warn))
-    assert [*typed("warn").err.splitlines(), *shown] == told
+    assert [*typed("warn").err.splitlines(), *shown] == words
 
 
 KNOWN = ["mass", "size", "Shine_2", 7]

@@ -106,7 +106,7 @@ def test_what_fits_not_together_is_refused(logs):
     Path("file").write_text("")
     Path("empty").mkdir()
     of_bag = ("bag", "--mapping", "cell.toml", "--out")
-    for told, words in (
+    for result, words in (
         ("nowhere: no such file or folder", ("nowhere", "--out", "b")),
         ("a: it already exists", ("a", "--out", "a")),
         ("a: it already exists", ("a", "--out", "csv:a")),
@@ -125,7 +125,7 @@ def test_what_fits_not_together_is_refused(logs):
             for out, clouds in (("x", "x"), ("csv:x", "./x"), ("x/logs", "x"), ("x", "x/clouds"))
         ),
     ):
-        assert told in refusal(*words)
+        assert result in refusal(*words)
 
 
 @pytest.fixture
@@ -190,7 +190,7 @@ def test_warnings_of_readers_stand_in_the_answer_too(sources):
     assert warning in done.stderr
 
 
-def test_what_was_warned_of_before_a_refusal_is_told():
+def test_what_was_warned_of_before_a_refusal_is_reported():
     @noted()
     def read():
         warn("a.csv", "read as text")
@@ -276,12 +276,12 @@ def test_rows_of_a_database_are_events_too(place):
         'clock = {field = "Wert", unit = "s", since = "stage"}\naction = {field = "Text"}\nreward = {field = "Wert"}\n'
         'ending = {finished = "rewarded"}\ntable.query = "SELECT * FROM seen"\n'
     )
-    told = "table.query: since = 'stage' takes the order of rows, which a database does not keep; add ORDER BY"
-    assert told in refusal("sql:sqlite:///cell.db", "--mapping", "order.toml", "--out", "x")
+    message = "table.query: since = 'stage' takes the order of rows, which a database does not keep; add ORDER BY"
+    assert message in refusal("sql:sqlite:///cell.db", "--mapping", "order.toml", "--out", "x")
     filled = Path("order.toml").read_text().replace('since = "stage"', 'since = "trajectory"')
     Path("order.toml").write_text(filled.replace('"rewarded"', '[""], field = "Text"') + 'table.fill_down = ["Lauf"]\n')
-    told = "table.query: fill_down takes the order of rows"
-    assert told in refusal("sql:sqlite:///cell.db", "--mapping", "order.toml", "--out", "x")
+    message = "table.query: fill_down takes the order of rows"
+    assert message in refusal("sql:sqlite:///cell.db", "--mapping", "order.toml", "--out", "x")
     assert "table.query: it is missing" in refusal("sql:sqlite:///cell.db", "--mapping", "events.toml", "--out", "x")
     assert "put the SELECT into it as table.query" in refusal("sql:sqlite:///cell.db", "--mapping-template")
     for words in (("--out", "x"), ("--out", "x", "--mapping", "cell.toml"), ("--mapping-template",)):
@@ -314,11 +314,13 @@ def test_parts_of_a_table_are_read_in_the_order_of_their_numbers(place):
 
 
 def test_several_tables_are_read_from_a_folder(place):
-    told = refusal("monday.csv", "tuesday.csv", "--mapping", "cell.toml", "--out", "x")
-    assert "--mapping is for one SOURCE, and 2 are given; put tables with the same columns, or bags, into one" in told
+    message = refusal("monday.csv", "tuesday.csv", "--mapping", "cell.toml", "--out", "x")
+    assert (
+        "--mapping is for one SOURCE, and 2 are given; put tables with the same columns, or bags, into one" in message
+    )
 
 
-def test_a_folder_of_tables_is_told_how_to_be_read(place, typed):
+def test_a_folder_of_tables_is_reported_how_to_be_read(place, typed):
     for name in ("a.txt", "b.txt"):
         (place / "texts").mkdir(exist_ok=True)
         (place / "texts" / name).write_text(GERMAN.replace(";7;", f";{name};"), encoding="utf-8")
@@ -391,12 +393,12 @@ def test_check_says_what_is_lost_and_writes_nothing(typed):
     assert os.listdir() == ["a"]
 
 
-def test_what_is_lost_or_kept_for_halfseen_alone_is_told_of_what_is_written(logs):
+def test_what_is_lost_or_kept_for_halfseen_alone_is_reported_of_what_is_written(logs):
     tables = logs.tables
     serial = pd.array([1, 2], dtype=pd.ArrowDtype(pa.int32()))
     Logs(tables["stages"].assign(lamp="on"), tables["trajectories"].assign(serial=serial)).write("a")
-    told = run("a", "--out", "csv:b").output.splitlines()[1:]
-    assert told == [
+    output = run("a", "--out", "csv:b").output.splitlines()[1:]
+    assert output == [
         "What is lost:",
         "- trajectories: column 'serial' is read back as pandas stores such values, not as int32[pyarrow]",
     ]

@@ -15,7 +15,7 @@ from halfseen.policies.folder import read_policy
 from refusals import refused
 from small_logs import kept, log_of
 
-told = partial(shell.run, "evaluate")
+run_evaluate = partial(shell.run, "evaluate")
 
 
 def clinic(seed, num_trajectories=300):
@@ -41,7 +41,7 @@ def folders(tmp_path_factory):
 
 
 def test_says_the_verdict_first_then_the_numbers(folders):
-    lines = told(folders / "policy", "--logs", folders / "aside").output.splitlines()
+    lines = run_evaluate(folders / "policy", "--logs", folders / "aside").output.splitlines()
     assert lines[0].startswith("Better: it earns ")
     assert lines[1].startswith(
         "To overturn this, a cause of cuts that is not in the log would have to change the odds of "
@@ -58,7 +58,7 @@ def test_each_baseline_has_a_line_and_an_entry(folders):
     (folders / "thumb.csv").write_text("x,action\n1,A\n,B\n")
     given = ["logging", "sequence:A", folders / "thumb.csv", folders / "policy"]
     options = [word for baseline in given for word in ("--against", baseline)]
-    lines = told(folders / "policy", "--logs", folders / "aside", *options).output.splitlines()
+    lines = run_evaluate(folders / "policy", "--logs", folders / "aside", *options).output.splitlines()
     names = ["the logging policy", "the sequence A", "the rule thumb.csv", "the policy policy"]
     assert [line.split("  ")[0] for line in lines[8:]] == names
     assert [line.split()[-1] for line in lines[8:]] == ["better"] * 4
@@ -82,14 +82,15 @@ def test_json_carries_what_the_library_says(folders):
 
 def test_options_reach_the_model(folders):
     options = "--simple", "--censoring-by", "stage", "--propensity", "estimated", "--level", "0.9", "--json"
-    report = json.loads(told(folders / "policy", "--logs", folders / "aside", *options).output)
+    report = json.loads(run_evaluate(folders / "policy", "--logs", folders / "aside", *options).output)
     assert (report["augmented"], report["censoring_by"], report["propensity"]) == (False, "stage", "estimated")
     assert report["level"] == 0.9
 
 
-def test_the_logs_that_it_was_learned_from_are_told_apart(folders):
+def test_the_logs_that_it_was_learned_from_are_distinguished(folders):
     assert (
-        "note: the policy was learned from these logs" in told(folders / "policy", "--logs", folders / "learned").output
+        "note: the policy was learned from these logs"
+        in run_evaluate(folders / "policy", "--logs", folders / "learned").output
     )
 
 
@@ -104,15 +105,15 @@ def test_whole_numbers_are_no_text_in_evaluate_report_and_baselines(tmp_path):
     of_whole, of_text, whole, text = (tmp_path / name for name in ("of_whole", "of_text", "whole", "text"))
     is_whole, is_text = "whole numbers, such as 1", "text, such as '1'"
     with refused(rf"of the policy are {is_whole}, but the log's are {is_text}; write .* as whole numbers$"):
-        told(of_whole, "--logs", text)
+        run_evaluate(of_whole, "--logs", text)
     with refused(rf"of the policy are {is_text}, but the log's are {is_whole}; write .* as text$"):
-        told(of_text, "--logs", whole)
+        run_evaluate(of_text, "--logs", whole)
     with refused(rf"of the policy of_text are {is_text}, but the log's are {is_whole}"):
-        told(of_whole, "--logs", whole, "--against", of_text)
+        run_evaluate(of_whole, "--logs", whole, "--against", of_text)
     with refused(rf"of the policy are {is_whole}, but the log's are {is_text}"):
         shell.run("report", text, of_whole, "--out", tmp_path / "report.html")
     assert not (tmp_path / "report.html").exists()
-    lines = told(of_whole, "--logs", whole, "--against", "sequence:1").output
+    lines = run_evaluate(of_whole, "--logs", whole, "--against", "sequence:1").output
     assert "the sequence 1" in lines
 
 
@@ -123,6 +124,6 @@ def test_a_word_that_unicode_composes_otherwise_is_said_to_be_the_same(folders, 
         named.write(tmp_path / kind)
         kept(CensoredQLearner.of_paper(1, {1: [name, "B"]}, ["x"], reg=0.1), named, tmp_path / f"of_{kind}")
     with refused(r"the action 'caf\\xe9' of the policy is 'cafe\\u0301' in the log, the same word"):
-        told(tmp_path / "of_nfc", "--logs", tmp_path / "nfd")
+        run_evaluate(tmp_path / "of_nfc", "--logs", tmp_path / "nfd")
     with refused(r"the action 'cafe\\u0301' of the policy of_nfd is 'caf\\xe9' in the log"):
-        told(tmp_path / "of_nfc", "--logs", tmp_path / "nfc", "--against", tmp_path / "of_nfd")
+        run_evaluate(tmp_path / "of_nfc", "--logs", tmp_path / "nfc", "--against", tmp_path / "of_nfd")

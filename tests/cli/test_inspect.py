@@ -72,7 +72,7 @@ def test_a_log_of_several_robots_says_so(folder, tmp_path):
     assert not [line for line in run(folder).splitlines() if line.startswith("robots")]
 
 
-def test_what_looks_wrong_is_told_near_the_top_and_in_json(tmp_path):
+def test_what_looks_wrong_is_reported_near_the_top_and_in_json(tmp_path):
     done = {"trajectory": range(20), "elapsed_s": np.linspace(1.1, 3.3, 20), "action": ["A", "B"] * 10, "reward": 2.0}
     log_of(**done, probability=1.0, lamp="on").write(tmp_path / "logs")
     assert run(tmp_path / "logs").splitlines()[1:5] == [
@@ -87,7 +87,7 @@ def test_what_looks_wrong_is_told_near_the_top_and_in_json(tmp_path):
     assert report["covariates"] == ["lamp"]
 
 
-def test_a_unit_that_changes_within_the_log_is_told_first(tmp_path):
+def test_a_unit_that_changes_within_the_log_is_reported_first(tmp_path):
     share = np.random.default_rng(0).uniform(0.1, 0.9, 120)
     share = np.where(np.arange(120) < 70, share, 100.0 * share)
     log_of(trajectory=range(120), action=["A", "B"] * 60, share=share).write(tmp_path / "logs")
@@ -179,7 +179,7 @@ def test_says_the_answer_and_where_the_page_is_and_the_same_again(judged, tmp_pa
 
 
 @pytest.mark.slow
-def test_the_page_is_against_whom_it_is_told(judged, tmp_path):
+def test_the_page_is_against_whom_it_is_reported(judged, tmp_path):
     sequence = "sequence:" + ",".join([ACTIONS[0]] * 2)
     arguments = [judged / "logs", judged / "policy", "--replicates", 4, "--against", sequence, "--against", "logging"]
     numbers = shell.report("report", *arguments, "--out", tmp_path / "a.html")
@@ -192,8 +192,8 @@ def test_the_page_is_against_whom_it_is_told(judged, tmp_path):
 
 @pytest.mark.slow
 def test_without_a_policy_the_page_is_of_the_log(judged, tmp_path):
-    told = reported(judged / "logs", "--out", tmp_path / "a.html", "--unit", "parts")
-    answer, place = told.stdout.splitlines()
+    result = reported(judged / "logs", "--out", tmp_path / "a.html", "--unit", "parts")
+    answer, place = result.stdout.splitlines()
     assert answer.startswith("24 trajectories: ")
     assert place == f"The page: {tmp_path / 'a.html'}"
     page = (tmp_path / "a.html").read_text()

@@ -50,22 +50,22 @@ def test_a_flat_log_is_learned_with_its_actions_by_stage_and_its_numeric_covaria
     logs = flat_log()
     by_hand = CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1, random_state=4).fit(logs)
     for stage in (1, 2):
-        told = report["actions"][stage - 1]
-        assert told["num_states"] == (logs.stages["stage"] == stage).sum()
+        found = report["actions"][stage - 1]
+        assert found["num_states"] == (logs.stages["stage"] == stage).sum()
         shares, as_logged = shares_by_hand(by_hand, logs, stage)
-        assert told["shares"] == pytest.approx(shares)
-        assert told["as_logged"] == pytest.approx(as_logged)
+        assert found["shares"] == pytest.approx(shares)
+        assert found["as_logged"] == pytest.approx(as_logged)
 
 
-@pytest.mark.parametrize("told", ["Inconclusive: it earns", "Better: it earns"])
-def test_ends_with_the_verdict_and_keeps_it(folder, tmp_path, monkeypatch, told):
-    verdict, reason = told.lower().split(": ")
+@pytest.mark.parametrize("message", ["Inconclusive: it earns", "Better: it earns"])
+def test_ends_with_the_verdict_and_keeps_it(folder, tmp_path, monkeypatch, message):
+    verdict, reason = message.lower().split(": ")
     judged = HeldOutVerdict(verdict, reason, 5)
     monkeypatch.setattr(held_out, "held_out_verdict", lambda learner, logs, **_: judged)
     arguments = (folder / "flat", "--out", tmp_path / "policy", "--reg", 0.1)
     lines = run(*arguments, has_verdict=True).stdout.splitlines()
     assert lines[-3] == judged.sentence
-    assert lines[-3].startswith(told)
+    assert lines[-3].startswith(message)
     assert lines[-1].startswith("Next: ")
     assert read_policy(tmp_path / "policy").verdict == judged.as_dict()
     report = json.loads(run(*arguments, "--overwrite", "--json", has_verdict=True).stdout)
@@ -100,8 +100,8 @@ def test_a_table_log_is_learned_as_tables(folder, tmp_path):
             one = mapped(itemgetter((trajectory, row["stage"] - 1)), states)
             taken.append(int(np.asarray(decide(one)).argmax()))
         verbs = ["FINISH", "WASH", "WASH", "LIFT", "LIFT"]
-        told = {verb: np.mean([verbs[action] == verb for action in taken]) for verb in ("FINISH", "WASH", "LIFT")}
-        assert row["shares"] == pytest.approx(told)
+        found = {verb: np.mean([verbs[action] == verb for action in taken]) for verb in ("FINISH", "WASH", "LIFT")}
+        assert row["shares"] == pytest.approx(found)
         done = zip(stages["action"], stages["object"], strict=True)
         logged = [verbs.index(verb) + (0 if verb == "FINISH" else int(target)) for verb, target in done]
         assert row["as_logged"] == pytest.approx(np.mean(np.array(taken) == logged))
@@ -190,15 +190,15 @@ def assert_alike(one, other):
 @pytest.mark.slow
 @pytest.mark.parametrize("log", ["flat", "tables"])
 @pytest.mark.parametrize("stages", ["separate", "pooled"])
-def test_all_that_is_told_is_the_same(folder, log, stages, tmp_path, by_sevens):
-    told = {}
+def test_all_that_is_reported_is_the_same(folder, log, stages, tmp_path, by_sevens):
+    result = {}
     for way in ("in-memory", "streaming"):
         shown = run(folder / log, "--out", tmp_path / way, "--stages", stages, f"--{way}", "--json", has_verdict=True)
-        told[way] = json.loads(shown.stdout)
-    for report in told.values():
+        result[way] = json.loads(shown.stdout)
+    for report in result.values():
         del report["policy"]
-    assert_alike(told["streaming"], told["in-memory"])
-    policies = [read_policy(tmp_path / way).policy for way in told]
+    assert_alike(result["streaming"], result["in-memory"])
+    policies = [read_policy(tmp_path / way).policy for way in result]
     np.testing.assert_allclose(policies[0].coefficients, policies[1].coefficients, rtol=1e-5, atol=1e-6)
 
 

@@ -55,20 +55,20 @@ def test_what_is_cut_is_named_where_it_hides_an_object(tmp_path):
 
 
 def test_json_has_exactly_the_promised_keys(table):
-    told = shell.report("look", table)
-    assert list(told) == ["table", "objects", "hides"]
-    assert list(told["table"]) == ["normal", "offset_m"]
-    assert np.linalg.norm(told["table"]["normal"]) == pytest.approx(1.0)
-    assert told["table"]["offset_m"] == pytest.approx(-0.6, abs=0.01)
-    for number, seen in enumerate(told["objects"]):
+    result = shell.report("look", table)
+    assert list(result) == ["table", "objects", "hides"]
+    assert list(result["table"]) == ["normal", "offset_m"]
+    assert np.linalg.norm(result["table"]["normal"]) == pytest.approx(1.0)
+    assert result["table"]["offset_m"] == pytest.approx(-0.6, abs=0.01)
+    for number, seen in enumerate(result["objects"]):
         assert list(seen) == ["id", "centroid_m", "place_m", "height_m", "occlusion", "num_points", "is_upright"]
         assert seen["id"] == number
         assert [type(value) for value in seen["centroid_m"] + seen["place_m"]] == [float] * 6
         assert (type(seen["num_points"]), type(seen["is_upright"])) == (int, bool)
         assert seen["height_m"] == pytest.approx(0.12, abs=0.01)
         assert 0 <= seen["occlusion"] <= 1
-    assert np.array(told["hides"]).shape == (2, 2)
-    assert told["hides"][1][0] == pytest.approx(0.125, abs=0.02)  # counted in the image of the rear card alone
+    assert np.array(result["hides"]).shape == (2, 2)
+    assert result["hides"][1][0] == pytest.approx(0.125, abs=0.02)  # counted in the image of the rear card alone
 
 
 @pytest.fixture
@@ -87,21 +87,21 @@ def test_colour_tells_what_looks_dirty_and_labels_of_a_file_stand_before_it(stai
     lines = run(stained).output.splitlines()
     assert lines[2].endswith("in view  label  P(dirty)")
     assert [line.split()[-2] for line in lines[3:]] == ["dirty", "clean"]
-    told = objects_of(stained)
-    assert [seen["label"] for seen in told] == ["dirty", "clean"]
-    for seen in told:
+    labels = objects_of(stained)
+    assert [seen["label"] for seen in labels] == ["dirty", "clean"]
+    for seen in labels:
         assert list(seen)[-3:] == ["label", "share_in_view", "p_dirty"]
         assert seen["share_in_view"] == pytest.approx(0.3 * (1 - seen["occlusion"]))
     both = shell.report("look", stained, table, "--workers", 1)
-    assert [each["objects"] for each in both] == [told, objects_of(table)]
+    assert [each["objects"] for each in both] == [labels, objects_of(table)]
     # All but the labels is as without colour.
     plain = run(table).output.splitlines()
     assert [line[: len(plain[2])].rstrip() for line in lines[2:]] == plain[2:]
     (tmp_path / "labels.csv").write_text("object,label,share_in_view\n0,unknown,\n1,dirty,0.9\n")
     for cloud in (stained, table):
-        told = objects_of(cloud, "--labels", tmp_path / "labels.csv")
-        assert [seen["label"] for seen in told] == ["unknown", "dirty"]
-        assert told[1]["share_in_view"] == 0.9
+        labels = objects_of(cloud, "--labels", tmp_path / "labels.csv")
+        assert [seen["label"] for seen in labels] == ["unknown", "dirty"]
+        assert labels[1]["share_in_view"] == 0.9
 
 
 @pytest.mark.slow
@@ -138,8 +138,8 @@ def test_a_folder_has_a_line_a_cloud_in_the_order_of_their_names_and_json_is_tha
     head, *rows = [line.split() for line in out.splitlines()]
     assert " ".join(head) == "cloud objects upright lying cut half hidden most hidden"
     assert [row[0] for row in rows] == [str(folder / f"table_0{k}.pcd") for k in range(2)]
-    told = json.loads(typed("look", folder, "--json", "--workers", 1).out)
-    for row, each in zip(rows, told, strict=True):
+    result = json.loads(typed("look", folder, "--json", "--workers", 1).out)
+    for row, each in zip(rows, result, strict=True):
         assert each == {"cloud": row[0], **json.loads(typed("look", row[0], "--json").out)}
         hidden = [one["occlusion"] for one in each["objects"]]
         upright = sum(one["is_upright"] for one in each["objects"])
@@ -214,9 +214,9 @@ def test_without_colour_or_file_all_stand_at_the_prior_and_a_file_counts_without
     (tmp_path / "l.csv").write_text(
         "object,label\n" + "".join(f"{k},{'dirty' if k == 2 else 'unknown'}\n" for k in range(5))
     )
-    told = first_look(view, cloud, tmp_path / "l.csv")
-    assert told.chances[2] == pytest.approx(by_hand(view.scene().occlusion[2], True), abs=1e-6)
-    assert told.chances[0] == pytest.approx(0.6)
+    result = first_look(view, cloud, tmp_path / "l.csv")
+    assert result.chances[2] == pytest.approx(by_hand(view.scene().occlusion[2], True), abs=1e-6)
+    assert result.chances[0] == pytest.approx(0.6)
 
 
 TABLE = table_paths()[7]

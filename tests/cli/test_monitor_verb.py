@@ -20,7 +20,7 @@ from holes import holed
 from refusals import refused
 from small_logs import kept, log_of
 
-told = partial(shell.run, "monitor")
+run_monitor = partial(shell.run, "monitor")
 
 
 def clinic(seed, num=300, moved=0.0):
@@ -44,8 +44,8 @@ def folders(tmp_path_factory):
     return folder
 
 
-def test_no_alarm_is_told_with_what_is_not_watched_and_status_0(folders):
-    result = told(folders / "policy", "--logs", folders / "next")
+def test_no_alarm_is_reported_with_what_is_not_watched_and_status_0(folders):
+    result = run_monitor(folders / "policy", "--logs", folders / "next")
     lines = result.output.splitlines()
     assert result.exit_code == 0
     assert lines[0] == "No alarm: in 300 trajectories nothing has changed."
@@ -58,15 +58,17 @@ def test_what_is_missing_is_filled_in_as_where_the_policy_was_learned(tmp_path):
     logs = holed(clinic(0), columns=("x",), missing=rule)
     kept(CensoredQLearner.of_paper(1, {1: ["A", "B"]}, ["x", "y", "x_missing"], reg=1e-3), logs, tmp_path / "policy")
     holed(clinic(1), seed=1, columns=("x",)).write(tmp_path / "next")
-    assert told(tmp_path / "policy", "--logs", tmp_path / "next").output.startswith("No alarm: in 300 trajectories")
+    assert run_monitor(tmp_path / "policy", "--logs", tmp_path / "next").output.startswith(
+        "No alarm: in 300 trajectories"
+    )
     holed(clinic(1), share=0.6, columns=("x",)).write(tmp_path / "lost")
-    result = told(tmp_path / "policy", "--logs", tmp_path / "lost")
+    result = run_monitor(tmp_path / "policy", "--logs", tmp_path / "lost")
     assert result.exit_code == 3
     assert "x_missing" in result.output
 
 
 def test_an_alarm_is_status_3_and_named_first(folders):
-    result = told(folders / "policy", "--logs", folders / "moved")
+    result = run_monitor(folders / "policy", "--logs", folders / "moved")
     assert result.exit_code == 3
     assert result.output.startswith("Alarm at trajectory ")
     assert "x in stage 1 is larger than in the log, since about trajectory 1 (1 to " in result.output.splitlines()[0]
@@ -80,22 +82,22 @@ def test_a_log_that_another_policy_made_is_status_2_as_nothing_watches_this_one(
     reward = 2.0 * ((logs.stages["x"] > 0.5) == is_b) + np.random.default_rng(0).normal(size=len(is_b))
     done = {"action": np.where(is_b, "B", "A"), "reward": reward.where(logs.stages["reward"].notna())}
     Logs(logs.stages.assign(**done), logs.trajectories).write(tmp_path / "other")
-    result = told(folders / "policy", "--logs", tmp_path / "other", *how)
+    result = run_monitor(folders / "policy", "--logs", tmp_path / "other", *how)
     assert result.exit_code == 2
     assert result.output.startswith("Only 0% of the actions are the policy's: this log is not from its service")
 
 
-def test_after_mending_it_watches_anew(folders, tmp_path):
+def test_after_mending_it_watches_again(folders, tmp_path):
     broken, mended = read_logs(folders / "moved"), read_logs(folders / "next")
     later = [table.assign(trajectory=table["trajectory"] + 300) for table in (mended.stages, mended.trajectories)]
     both = zip((broken.stages, broken.trajectories), later, strict=True)
     Logs(*(pd.concat(each, ignore_index=True) for each in both)).write(tmp_path / "both")
     asked = (folders / "policy", "--logs", tmp_path / "both")
-    assert told(*asked).exit_code == 3
-    result = told(*asked, "--since", 300)
+    assert run_monitor(*asked).exit_code == 3
+    result = run_monitor(*asked, "--since", 300)
     assert (result.exit_code, result.output.startswith("No alarm: in 300 trajectories")) == (0, True)
     with refused("since is 900, and the log has no such trajectory"):
-        told(*asked, "--since", 900)
+        run_monitor(*asked, "--since", 900)
 
 
 def test_json_has_all_of_it(folders):
@@ -108,18 +110,18 @@ def test_json_has_all_of_it(folders):
 
 def test_the_page_tells_the_same_and_is_replaced_only_if_asked(folders, tmp_path):
     page = tmp_path / "service.html"
-    result = told(folders / "policy", "--logs", folders / "moved", "--page", page)
+    result = run_monitor(folders / "policy", "--logs", folders / "moved", "--page", page)
     text = page.read_text(encoding="utf-8")
     assert result.output.splitlines()[0] in text
     assert text.count("<svg") == 1
     assert "<script" not in text
-    told(folders / "policy", "--logs", folders / "next", "--page", page, "--overwrite")
+    run_monitor(folders / "policy", "--logs", folders / "next", "--page", page, "--overwrite")
     assert "no alarm" in page.read_text(encoding="utf-8")
     with refused("it already exists"):
-        told(folders / "policy", "--logs", folders / "next", "--page", page)
+        run_monitor(folders / "policy", "--logs", folders / "next", "--page", page)
 
 
-def test_an_alarm_is_told_even_if_its_page_cannot_be_written(folders, tmp_path, monkeypatch):
+def test_an_alarm_is_reported_even_if_its_page_cannot_be_written(folders, tmp_path, monkeypatch):
     def full(*_, **__):
         raise ArgumentError("the disk is full")
 
@@ -127,7 +129,7 @@ def test_an_alarm_is_told_even_if_its_page_cannot_be_written(folders, tmp_path, 
     monkeypatch.setattr(module, "say", said.append)
     monkeypatch.setattr(page_module, "write_page", full)
     with refused("the disk is full"):
-        told(folders / "policy", "--logs", folders / "moved", "--page", tmp_path / "service.html")
+        run_monitor(folders / "policy", "--logs", folders / "moved", "--page", tmp_path / "service.html")
     assert said[0].startswith("Alarm at trajectory ")
 
 
@@ -148,8 +150,8 @@ def test_a_log_that_grows_is_followed_until_the_alarm(folders, tmp_path, monkeyp
 
         monkeypatch.setattr(module.time, "sleep", wait)
         with refused("no stage is recorded yet"):
-            told(folders / "policy", "--logs", tmp_path / "journal")
-        result = told(folders / "policy", "--logs", tmp_path / "journal", "--follow", "--every", 0.5)
+            run_monitor(folders / "policy", "--logs", tmp_path / "journal")
+        result = run_monitor(folders / "policy", "--logs", tmp_path / "journal", "--follow", "--every", 0.5)
     assert result.exit_code == 3
     assert calls
     assert set(calls) == {0.5}
@@ -162,7 +164,7 @@ def test_a_log_that_grows_is_followed_until_the_alarm(folders, tmp_path, monkeyp
 @in_browser
 @PAGES
 def test_the_page_can_be_heard_and_read_on_a_phone(folders, tmp_path, width_px, scheme):
-    told(folders / "policy", "--logs", folders / "moved", "--page", tmp_path / "service.html")
+    run_monitor(folders / "policy", "--logs", folders / "moved", "--page", tmp_path / "service.html")
     assert faults_of([tmp_path / "service.html"], width_px, scheme) == []
 
 
@@ -194,7 +196,7 @@ def record_of(policy):
 
 
 @pytest.mark.slow
-def test_a_change_is_told_with_the_command_that_takes_only_what_still_holds(folder, tmp_path):
+def test_a_change_is_reported_with_the_command_that_takes_only_what_still_holds(folder, tmp_path):
     result = shell.run("learn", folder / "both", "--out", tmp_path / "policy", *LEARN)
     lines = result.output.splitlines()
     at = next(k for k, line in enumerate(lines) if "the cell has changed within the log: A brings" in line)
@@ -233,7 +235,7 @@ def test_since_is_the_log_cut_by_hand(folder, tmp_path):
     assert since == cut
 
 
-def test_weights_by_recency_are_told_and_kept_and_leave_no_doubt(folder, tmp_path):
+def test_weights_by_recency_are_reported_and_kept_and_leave_no_doubt(folder, tmp_path):
     for recency, half_life in (("40", 40.0), ("auto", 16.0)):
         options = ["--recency", recency, "--overwrite", "--json"]
         report = json.loads(shell.run("learn", folder / "both", "--out", tmp_path / "policy", *LEARN, *options).output)
@@ -246,14 +248,14 @@ def test_weights_by_recency_are_told_and_kept_and_leave_no_doubt(folder, tmp_pat
 
 def test_act_says_which_logs_it_was_learned_from(folder, tmp_path):
     (tmp_path / "now.json").write_text('{"x": 0.5}')
-    told = shell.run("act", folder / "policy", tmp_path / "now.json").output
-    assert told.splitlines()[-1] == "learned from 150 trajectories of old (1 to 150)"
+    output = shell.run("act", folder / "policy", tmp_path / "now.json").output
+    assert output.splitlines()[-1] == "learned from 150 trajectories of old (1 to 150)"
     assert shell.report("act", folder / "policy", tmp_path / "now.json")["learned_from"] == [
         {"name": "old", "num_trajectories": 150, "first": 1, "last": 150}
     ]
 
 
-def test_of_an_unchanged_log_nothing_is_told(folder):
+def test_of_an_unchanged_log_nothing_is_reported(folder):
     assert record_of(folder / "policy")["log"]["changes"] == []
     assert "half_life" not in record_of(folder / "policy")["learner"]
 
@@ -266,7 +268,7 @@ def test_an_alarm_says_whether_learning_again_may_pay(folder):
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (
             ["--since", "none-such"],
@@ -276,8 +278,8 @@ def test_an_alarm_says_whether_learning_again_may_pay(folder):
         (["--recency", "-3"], "half_life is -3.0; give a number of trajectories above 0"),
     ],
 )
-def test_what_cannot_be_is_refused(folder, tmp_path, options, told):
-    with refused(told):
+def test_what_cannot_be_is_refused(folder, tmp_path, options, message):
+    with refused(message):
         shell.run("learn", folder / "old", "--out", tmp_path / "policy", *LEARN, *options)
     assert not (tmp_path / "policy").exists()
 
@@ -287,7 +289,7 @@ def test_a_log_that_names_another_policy_is_refused_and_followed_until_this_one_
     Logs(logs.stages, logs.trajectories.assign(policy_digest="f00")).write(tmp_path / "next")
     digest = read_policy(policy).digest
     with refused(rf"none of its 30 trajectories was decided by this policy \({digest}\), but by f00; give the log"):
-        told(policy, "--logs", tmp_path / "next")
+        run_monitor(policy, "--logs", tmp_path / "next")
 
     def nap(every_s):
         naps.append(every_s)
@@ -295,7 +297,7 @@ def test_a_log_that_names_another_policy_is_refused_and_followed_until_this_one_
             raise KeyboardInterrupt
 
     monkeypatch.setattr(module.time, "sleep", nap)
-    assert told(policy, "--logs", tmp_path / "next", "--follow").output.count("waiting: ") == 1
+    assert run_monitor(policy, "--logs", tmp_path / "next", "--follow").output.count("waiting: ") == 1
 
 
 def test_a_log_that_is_replaced_while_it_is_followed_is_waited_for(folders, tmp_path, monkeypatch):
@@ -312,8 +314,8 @@ def test_a_log_that_is_replaced_while_it_is_followed_is_waited_for(folders, tmp_
 
     copying = copies()
     monkeypatch.setattr(module.time, "sleep", lambda _: next(copying))
-    output = told(policy, "--logs", tmp_path / "next", "--follow").output
+    output = run_monitor(policy, "--logs", tmp_path / "next", "--follow").output
     assert output.count("waiting: ") == 1
     assert output.count("No alarm") == 2
     with refused("no such folder"):
-        told(policy, "--logs", tmp_path / "none", "--follow")
+        run_monitor(policy, "--logs", tmp_path / "none", "--follow")

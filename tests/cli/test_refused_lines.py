@@ -126,8 +126,12 @@ REFUSED = [
     ("cell calibrate --out mine --overwrite", "not replaced"),
     ("cell calibrate --from logs --out new", "objects: the log has no objects table"),
     ("cell calibrate --from mine --out new", "mine"),
-    *((f"{GREEDY} --workers 1 --out new {words}", told) for words, told in ARMS.items()),
-    *((f"cell calibrate --attempts 50 --out new {words}", told) for words, told in ARMS.items() if "tiny" not in words),
+    *((f"{GREEDY} --workers 1 --out new {words}", message) for words, message in ARMS.items()),
+    *(
+        (f"cell calibrate --attempts 50 --out new {words}", message)
+        for words, message in ARMS.items()
+        if "tiny" not in words
+    ),
     ("cell run --policy none --out new", "halfseen learn"),
     ("cell run --policy planer --arms 2 --out new", "--policy planer: no such folder…did you mean 'planner'?"),
     (
@@ -285,32 +289,32 @@ def unchanged(place, monkeypatch):
 
 
 @pytest.mark.usefixtures("unchanged")
-@pytest.mark.parametrize(("line", "told"), REFUSED)
-def test_what_does_not_fit_is_refused_and_nothing_is_written(refused, line, told):
+@pytest.mark.parametrize(("line", "message"), REFUSED)
+def test_what_does_not_fit_is_refused_and_nothing_is_written(refused, line, message):
     err = refused(*line.format(table=TABLE).split())
     assert err.startswith("halfseen: ")
-    for part in told.split("…"):
+    for part in message.split("…"):
         assert part in err
         err = err[err.index(part) + len(part) :]
 
 
 @pytest.mark.usefixtures("unchanged")
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "message"),
     [
         ("watch {table} --port", "--port is {port}"),
         ("serve policy --port", "--port {port}: the server cannot listen there"),
     ],
 )
-def test_a_port_that_is_taken_is_refused(refused, line, told):
+def test_a_port_that_is_taken_is_refused(refused, line, message):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        assert told.format(port=port) in refused(*line.format(table=TABLE).split(), port)
+        assert message.format(port=port) in refused(*line.format(table=TABLE).split(), port)
 
 
 @pytest.mark.usefixtures("unchanged")
 @pytest.mark.parametrize("export", [[], ["--export", "out.html"]])
-def test_a_viewer_that_is_not_there_is_told(refused, monkeypatch, export):
+def test_a_viewer_that_is_not_there_is_reported(refused, monkeypatch, export):
     monkeypatch.setitem(sys.modules, "viser", None)
     assert "[watch]" in refused("watch", TABLE, *export)
 

@@ -45,18 +45,18 @@ def served(*words, **environment):
 
 def test_a_controller_without_python_gets_decisions_and_makes_the_next_log(policy, tmp_path):
     with served(policy, "--record", tmp_path / "logs", "--explore", "0.2") as (process, client):
-        told = client.post("/decide", json=SEEN).json()
-        assert told["action"] in ("A", "B")
+        answer = client.post("/decide", json=SEEN).json()
+        assert answer["action"] in ("A", "B")
         client.post("/reward", json={"reward": 2})
         kept(flat_learner(5.0), flat_log(), policy, overwrite=True)
         process.send_signal(signal.SIGHUP)
-        assert client.post("/decide", json=SEEN).json()["policy"] == told["policy"]
+        assert client.post("/decide", json=SEEN).json()["policy"] == answer["policy"]
         client.post("/end", json={"ending": "cut", "cause": "operator"}).raise_for_status()
         for _ in range(2000):
-            if client.get("/health").json()["policy"] != told["policy"]:
+            if client.get("/health").json()["policy"] != answer["policy"]:
                 break
             time.sleep(0.05)
-        assert client.post("/decide", json=SEEN).json()["policy"] != told["policy"]
+        assert client.post("/decide", json=SEEN).json()["policy"] != answer["policy"]
         (policy / "policy.json").write_text("{}")
         process.send_signal(signal.SIGHUP)
         assert "the previous policy stays in use" in process.stderr.readline()

@@ -98,14 +98,14 @@ def test_a_robot_has_the_law_that_its_file_names(refused, tmp_path):
     assert own.grasping == replace(law.grasping, limit_s=11.0)
     assert [each.grasping for each in others] == [AssumedGrasping(), None]
     few = ["--episodes", "4", "--horizon", "2", "--json"]
-    told = run(
+    result = run(
         "simulate", TABLE, "--team", tmp_path / "laws.toml", "--out", tmp_path / "by-law", "--law", "shipped", *few
     )
-    assert json.loads(told.stdout)["robots"] == ["left", "right", "behind"]
+    assert json.loads(result.stdout)["robots"] == ["left", "right", "behind"]
     (tmp_path / "no-law.toml").write_text(LEFT + 'law = "asumed"\n')
-    told = refused("simulate", TABLE, "--team", tmp_path / "no-law.toml", "--out", tmp_path / "none")
-    assert f"{tmp_path / 'no-law.toml'}: robot 0: law: asumed: no such folder" in told
-    assert "did you mean 'assumed'?" in told
+    result = refused("simulate", TABLE, "--team", tmp_path / "no-law.toml", "--out", tmp_path / "none")
+    assert f"{tmp_path / 'no-law.toml'}: robot 0: law: asumed: no such folder" in result
+    assert "did you mean 'assumed'?" in result
 
 
 def test_learn_says_for_how_many_robots_and_keeps_it(house, learned):
@@ -120,8 +120,8 @@ def test_learn_says_for_how_many_robots_and_keeps_it(house, learned):
 
 @pytest.mark.slow
 def test_the_verdict_on_a_team_ends_what_learn_says_and_is_kept(house, tmp_path):
-    told = run("learn", house / "team-logs", "--out", tmp_path / "policy", "--reg", "0.1")
-    assert read_policy(tmp_path / "policy").verdict["sentence"] in told.stdout.splitlines()
+    result = run("learn", house / "team-logs", "--out", tmp_path / "policy", "--reg", "0.1")
+    assert read_policy(tmp_path / "policy").verdict["sentence"] in result.stdout.splitlines()
 
 
 def test_learn_learns_what_the_library_does_and_counts_what_it_takes(house, learned, tmp_path):
@@ -143,8 +143,8 @@ def test_learn_learns_what_the_library_does_and_counts_what_it_takes(house, lear
             verbs[int(by_hand.decide(picked(states, (p, row["stage"] - 1)), random.key_of(0)).action)]
             for p in trajectories
         ]
-        told = {name: np.mean([verb == k for verb in taken]) for k, name in enumerate(VERB_NAMES)}
-        assert row["shares"] == pytest.approx(told)
+        result = {name: np.mean([verb == k for verb in taken]) for k, name in enumerate(VERB_NAMES)}
+        assert row["shares"] == pytest.approx(result)
         assert row["num_states"] == len(at)
 
 

@@ -113,25 +113,25 @@ def test_act_warns_of_a_category_that_this_stage_never_showed(folder, tmp_path):
     Logs(late, log.trajectories).write(tmp_path / "logs")
     run("learn", tmp_path / "logs", "--out", tmp_path / "policy", *QUICK, "--stages", "separate")
     blue = state(tmp_path, "a.json", '{"x": 0.1, "colour": "blue", "is_heavy": true}')
-    told = "colour is blue, which no state of the logs showed at this stage; Q is extrapolated"
-    assert shell.report("act", tmp_path / "policy", blue)["warnings"] == [told]
+    message = "colour is blue, which no state of the logs showed at this stage; Q is extrapolated"
+    assert shell.report("act", tmp_path / "policy", blue)["warnings"] == [message]
     assert shell.report("act", tmp_path / "policy", blue, "--stage", 2)["warnings"] == []
 
 
 def test_act_says_of_another_spelling_that_it_is_one(folder, tmp_path):
     file = state(tmp_path, "a.json", '{"x": 0.1, "colour": "Blue", "is_heavy": true}')
-    told = refusal(PolicyError, "act", folder / "policy", file)
-    assert "covariate 'colour': 'Blue' and 'blue' differ only in spelling, and the training log" in told
+    message = refusal(PolicyError, "act", folder / "policy", file)
+    assert "covariate 'colour': 'Blue' and 'blue' differ only in spelling, and the training log" in message
 
 
 @pytest.mark.parametrize("text", ['"mauve"', "null", "7"])
 def test_act_refuses_what_it_does_not_know(folder, tmp_path, text):
     file = state(tmp_path, "a.json", f'{{"x": 0.1, "colour": {text}, "is_heavy": true}}')
-    told = refusal(PolicyError, "act", folder / "policy", file)
+    message = refusal(PolicyError, "act", folder / "policy", file)
     value = text.replace('"', "'") if text != "7" else "'7'"
     known = f"row 0: covariate 'colour' is {value}, which the training log lacks"
     what = "covariate 'colour' is null; fill it in" if text == "null" else known
-    assert told.startswith(f"{file}: {what}")
+    assert message.startswith(f"{file}: {what}")
     file = state(tmp_path, "a.csv", f"x,colour,is_heavy\n0.1,{text},True\n")
     assert "give one of 'blue', 'green', 'red'" in refusal(PolicyError, "act", folder / "policy", file)
 
@@ -198,14 +198,14 @@ def test_evaluate_fills_in_what_the_policy_has_no_rule_for(logs, tmp_path):
     evaluated = ("evaluate", tmp_path / "p", "--logs", logs, "--json")
     assert json.loads(shell.run(*evaluated).stdout)["sentence"]
     holed_log(0.2, num_trajectories=30, seed=1).write(tmp_path / "other")
-    told = shell.report("evaluate", tmp_path / "p", "--logs", tmp_path / "other", "--missing", "last")
-    assert not told["is_learned_from_these_logs"]
+    result = shell.report("evaluate", tmp_path / "p", "--logs", tmp_path / "other", "--missing", "last")
+    assert not result["is_learned_from_these_logs"]
 
 
 def test_convert_keeps_null_and_says_so(logs, tmp_path):
-    told = shell.report("convert", logs, "--out", f"csv:{tmp_path / 'csv'}")
+    result = shell.report("convert", logs, "--out", f"csv:{tmp_path / 'csv'}")
     raw = read_logs(logs, missing="keep").stages
-    assert told["missing"] == {name: int(raw[name].isna().sum()) for name in ("x", "colour", "is_heavy")}
+    assert result["missing"] == {name: int(raw[name].isna().sum()) for name in ("x", "colour", "is_heavy")}
     shell.run("convert", tmp_path / "csv", "--out", tmp_path / "again")
     assert read_logs(tmp_path / "again", missing=MEDIAN).filling == read_logs(logs, missing=MEDIAN).filling
     with refused("column 'x' is null in"):
@@ -213,7 +213,7 @@ def test_convert_keeps_null_and_says_so(logs, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("rule", "told"),
+    ("rule", "message"),
     [
         ("mean", ": missing is 'mean'"),
         ("x=mean", ": missing of 'x' is 'mean'"),
@@ -221,8 +221,8 @@ def test_convert_keeps_null_and_says_so(logs, tmp_path):
         ("colour=last", "covariate x is null"),
     ],
 )
-def test_a_rule_that_is_none_is_refused(rule, told, logs, tmp_path):
-    with refused(told):
+def test_a_rule_that_is_none_is_refused(rule, message, logs, tmp_path):
+    with refused(message):
         shell.run("learn", logs, "--out", tmp_path / "p", "--missing", rule)
 
 
@@ -231,5 +231,5 @@ def test_evaluate_refuses_text_where_the_policy_was_learned_from_numbers(folder,
     Logs(log.stages.assign(x=[f"bin {row}" for row in range(len(log.stages))]), log.trajectories).write(
         tmp_path / "logs"
     )
-    told = refusal(LogError, "evaluate", folder / "policy", "--logs", tmp_path / "logs")
-    assert "stage 1: covariate 'x' is not numeric, but 'bin 0'; give numbers" in told
+    message = refusal(LogError, "evaluate", folder / "policy", "--logs", tmp_path / "logs")
+    assert "stage 1: covariate 'x' is not numeric, but 'bin 0'; give numbers" in message

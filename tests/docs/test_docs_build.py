@@ -47,8 +47,8 @@ def test_bibtex_becomes_plain_text_and_the_bibliography_holds_every_citation_of_
   pages   = {1--20},
   year    = {1999},
 }"""
-    told = "Thomas Gärtner and Miguel A. Hernán (1999). On the Kaplan–Meier curve. *Biometrics*, 3(2), 1–20."
-    assert citations["cited"](citations["entries"](bibtex)["Aachen1999"]) == told
+    message = "Thomas Gärtner and Miguel A. Hernán (1999). On the Kaplan–Meier curve. *Biometrics*, 3(2), 1–20."
+    assert citations["cited"](citations["entries"](bibtex)["Aachen1999"]) == message
     bibtex = (DOCS / "references.bib").read_text(encoding="utf-8")
     entries = citations["entries"](bibtex)
     assert len(entries) == len(re.findall(r"^@", bibtex, flags=re.MULTILINE))
@@ -67,13 +67,13 @@ def test_the_docs_build_without_warnings_and_hold_every_public_name_every_verb_a
         assert [name for name in names if f'id="halfseen.{package}.{name}"' not in page] == []
     verbs = built / "reference" / "verbs"
     index = html.unescape((verbs / "index.html").read_text(encoding="utf-8"))
-    for verb, told in cli.VERBS.items():
+    for verb, result in cli.VERBS.items():
         page = html.unescape((verbs / f"{verb}.html").read_text(encoding="utf-8"))
         command = cli.halfseen.get_command(click.Context(cli.halfseen), verb)
         names = [name for param in command.params for name in param.opts if name.startswith("-")]
         assert f"<h1>halfseen {verb}<" in page
         assert [name for name in names if f">{name}<" not in page] == []
-        assert told in index
+        assert result in index
     for notebook in NOTEBOOKS:
         page = (built / "notebooks" / f"{notebook.stem}.html").read_text(encoding="utf-8")
         shown = re.findall(r'<img alt="[^"]{20,}" src="\.\./_images/\w+\.svg"', page)

@@ -141,7 +141,7 @@ x += 1
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "told"),
+    ("right", "wrong", "message"),
     [
         ("one ...", "two ...", "line 9: it says"),
         ("version ...", "version x", "line 18: it says"),
@@ -149,7 +149,7 @@ x += 1
         ("x += 1", "assert x == 2, f'x is {x}'", "x is 1"),
     ],
 )
-def test_blocks_run_in_order_in_one_namespace_and_what_is_wrong_is_told(right, wrong, told):
+def test_blocks_run_in_order_in_one_namespace_and_what_is_wrong_is_reported(right, wrong, message):
     assert follow("page.md", PAGE)["x"] == 2
-    with pytest.raises(AssertionError, match=re.escape(told)):
+    with pytest.raises(AssertionError, match=re.escape(message)):
         follow("page.md", PAGE.replace(right, wrong))

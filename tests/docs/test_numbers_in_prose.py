@@ -119,13 +119,13 @@ def gains():
 
 
 def test_a_number_in_prose_is_that_of_the_log_the_law_or_the_measurement(law):
-    told = counts(law) | gains()
+    result = counts(law) | gains()
     for page, sentences in TOLD.items():
         text = prose(page)
-        assert [words for words in sentences if words.format(**told) not in text] == [], page
+        assert [words for words in sentences if words.format(**result) not in text] == [], page
     for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")]:
         others = set(re.findall(r"(\d[\d,]*) parts\b", page.read_text(encoding="utf-8")))
-        assert others <= {told["logs"], told["later"]}, page
+        assert others <= {result["logs"], result["later"]}, page
 
 
 EFFECTS = {
@@ -141,9 +141,9 @@ def test_the_page_of_the_cell_tells_the_law_that_comes_with_the_package(law):
     for (name, effect), error in zip(law.coefficients.items(), law.grasp.standard_error, strict=True):
         if name in EFFECTS:
             (cells,) = re.findall(rf"^\| {EFFECTS[name]} \| (\S+) \| (\S+) to (\S+) \|$", page, flags=re.MULTILINE)
-            told = [float(cell.replace("−", "-")) for cell in cells]
+            result = [float(cell.replace("−", "-")) for cell in cells]
             # Told to one digit behind the point.
-            assert told == pytest.approx([effect, effect - 1.96 * error, effect + 1.96 * error], abs=0.051), name
+            assert result == pytest.approx([effect, effect - 1.96 * error, effect + 1.96 * error], abs=0.051), name
 
 
 def biases(situation):
@@ -176,8 +176,8 @@ def test_the_table_of_biases_is_what_the_benchmark_prints(situation):
 
 def test_the_guide_says_what_benchmarks_measured(monkeypatch):
     usage = (ROOT / "benchmarks/verdicts.py").read_text(encoding="utf-8")
-    told = re.findall(r"(\d+) logs of (\d+) trajectories a row", prose("docs/guide/can-i-believe-it.md"))
-    assert told == re.findall(r"\[--logs (\d+)\] \[--trajectories (\d+)\]", usage)
+    result = re.findall(r"(\d+) logs of (\d+) trajectories a row", prose("docs/guide/can-i-believe-it.md"))
+    assert result == re.findall(r"\[--logs (\d+)\] \[--trajectories (\d+)\]", usage)
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     fleet, text = importlib.import_module("fleet"), prose("docs/guide/any-multistage-problem.md")
     assert [each for each in fleet.sentences(json.loads(fleet.KEPT.read_text())) if each not in text] == []

@@ -81,14 +81,14 @@ def test_a_part_of_the_numbers_of_a_picture_is_the_same_again(picture):
     assert found
     for index, row in found.items():
         for name, value in row.items():
-            told = f"{picture.remedy} REMAKE=1 ({picture.numbers.file}, row {index}: {name})"
+            message = f"{picture.remedy} REMAKE=1 ({picture.numbers.file}, row {index}: {name})"
             if isinstance(value, int | float):
                 # Where a processor rounds otherwise, an episode in some thousand goes another way.
                 near = max(1e-3, 0.25 * float(row.get("se", 0.0)))
-                assert kept[index][name] == pytest.approx(value, rel=1e-3, abs=near), told
+                assert kept[index][name] == pytest.approx(value, rel=1e-3, abs=near), message
             else:
                 words, numbers = apart(value)
-                assert apart(kept[index][name]) == (words, pytest.approx(numbers, rel=0.01)), told
+                assert apart(kept[index][name]) == (words, pytest.approx(numbers, rel=0.01)), message
 
 
 def apart(sentence):
@@ -119,12 +119,12 @@ def captions(gif):
 def test_below_a_film_stand_the_decisions_that_its_numbers_tell(picture):
     strips = captions(picture.path.read_bytes())
     blank = np.zeros((1, strips[0].shape[1], 3), dtype=np.uint8)
-    told = ["", *(row["words"] for row in picture.numbers.read() if row["stage"])]
-    written = [np.asarray(film._captioned(blank, words).convert("L"), dtype=np.int16)[1:] for words in told]
+    result = ["", *(row["words"] for row in picture.numbers.read() if row["stage"])]
+    written = [np.asarray(film._captioned(blank, words).convert("L"), dtype=np.int16)[1:] for words in result]
     seen = [int(np.argmin([np.abs(strip - each).mean() for each in written])) for strip in strips]
     # The first words are never seen alone where the first decision falls before the first picture.
     assert seen == sorted(seen), picture.remedy
-    assert set(seen) | {0} == set(range(len(told))), picture.remedy
+    assert set(seen) | {0} == set(range(len(result))), picture.remedy
     assert max(np.abs(strip - written[k]).max() for strip, k in zip(strips, seen, strict=True)) < 64, picture.remedy
 
 
@@ -147,9 +147,9 @@ def test_pictures_are_alike_where_nobody_sees_a_difference():
 
 
 def test_words_on_one_line_of_the_folders_do_not_run_into_one_another():
-    told = re.compile(r'<text x="([\d.]+)" y="([\d.]+)" font-size="([\d.]+)" fill="[^"]+"([^>]*)>([^<]+)<')
+    result = re.compile(r'<text x="([\d.]+)" y="([\d.]+)" font-size="([\d.]+)" fill="[^"]+"([^>]*)>([^<]+)<')
     lines = {}
-    for x, y, size, more, words in told.findall(way_of_the_data.draw().decode()):
+    for x, y, size, more, words in result.findall(way_of_the_data.draw().decode()):
         font = FontProperties(family="DejaVu Sans", size=float(size), weight="bold" if "700" in more else "normal")
         width = text_to_path.get_text_width_height_descent(words, font, False)[0]
         begin = float(x) - (width if 'text-anchor="end"' in more else 0.0)

@@ -167,7 +167,7 @@ def test_every_kind_of_baseline_has_a_name(tmp_path):
         ("nowhere.toml", "nowhere.toml: it cannot be read"),
     ],
 )
-def test_what_is_no_baseline_is_told_in_one_line(against, message):
+def test_what_is_no_baseline_is_reported_in_one_line(against, message):
     with pytest.raises(ArgumentError, match=message) as refusal:
         evaluated(trial(6, num_trajectories=40), against)
     assert "\n" not in str(refusal.value)
@@ -178,14 +178,14 @@ def test_a_rule_of_other_spelling_than_the_log_is_warned_of(tmp_path):
     logs = trial(6, num_trajectories=40)
     stages = logs.stages.assign(colour=np.where(np.arange(len(logs.stages)) % 2, "red", "blue"))
     logs, file = Logs(stages, logs.trajectories), tmp_path / "rule.csv"
-    for rule, told in (
+    for rule, result in (
         ("colour,action\nRed,A\n,B\n", "a row asks for colour = Red, which no log showed; did you mean 'red'?"),
         ("colour,action\nred,A\n,b\n", "it takes 'b', which no log showed; did you mean 'B'?"),
     ):
         file.write_text(rule)
         with pytest.warns(HalfseenWarning) as warned:
             baselines_of(str(file), logs)
-        assert [str(each.message) for each in warned] == [f"{file}: {told}"]
+        assert [str(each.message) for each in warned] == [f"{file}: {result}"]
     file.write_text("colour,action\nred,A\n,B\n")
     assert baselines_of(str(file), logs)[0].name == "the rule rule.csv"
 

@@ -38,11 +38,11 @@ def test_the_origin_of_a_covariate_changes_no_value(options):
 @pytest.mark.slow
 @pytest.mark.parametrize("origin", ORIGINS)
 def test_a_linear_q_refuses_a_covariate_that_its_sums_would_lose(origin):
-    told = r"covariate 'x1' is about .*e\+0[689] and differs by 0.9\d, which rounding would erase from a linear Q"
+    message = r"covariate 'x1' is about .*e\+0[689] and differs by 0.9\d, which rounding would erase from a linear Q"
     learner = CensoredQLearner.of_paper(2, ["A", "B", "C"], ["x1"])
-    with refused(told):
+    with refused(message):
         learner.fit(moved(origin))
-    with refused(told):
+    with refused(message):
         found(moved(origin), q=QSpec(q_function="linear"))
     learner.set_params(q_function="quadratic", reg=0.01)
     states = pd.DataFrame({"x1": [-1.0, 0.0, 1.0]})

@@ -73,7 +73,7 @@ def test_it_says_how_many_trajectories_would_do(trajectories_for_one, said):
         (0.0, 0.0, "earns as much a trajectory as the logging policy, between 0 and 0 parts less"),
     ],
 )
-def test_ends_of_the_interval_are_told_as_more_and_less_without_a_sign(low, high, words):
+def test_ends_of_the_interval_are_reported_as_more_and_less_without_a_sign(low, high, words):
     _, reason = verdict_of(Estimate((low + high) / 2.0, low, high, (high - low) / 4.0, 50.0), unit="parts")
     assert words in reason
 
@@ -326,7 +326,7 @@ def test_a_guess_of_which_nothing_is_known_says_why():
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"logs": None}, "logs is a NoneType; give Logs"),
         ({"num_folds": 2.5}, "num_folds is 2.5"),
@@ -334,9 +334,9 @@ def test_a_guess_of_which_nothing_is_known_says_why():
         ({"level": 95}, "level is 95; give a number above 0 and at most"),
     ],
 )
-def test_arguments_that_cannot_be_are_refused_and_no_verdict(changed, told):
+def test_arguments_that_cannot_be_are_refused_and_no_verdict(changed, message):
     logs = log(5, num_trajectories=12)
-    with refused_type(told):
+    with refused_type(message):
         held_out_verdict(**{"learner": learner().fit(logs), "logs": logs} | changed)
 
 

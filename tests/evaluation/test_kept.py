@@ -38,8 +38,8 @@ def test_the_distribution_is_what_a_loop_counts():
     logs = log()
     for stage in PROMISED:
         rows: Any = logs.stages[logs.stages["stage"] == stage["stage"]]
-        told = stage["covariates"]["weight"]
-        for value, share in zip(told["values"], told["below"], strict=True):
+        result = stage["covariates"]["weight"]
+        for value, share in zip(result["values"], result["below"], strict=True):
             assert share == np.mean([each <= value for each in rows["weight"]])
         assert dict(zip(*stage["covariates"]["colour"].values(), strict=True)) == pytest.approx(
             rows["colour"].value_counts(normalize=True).to_dict()
@@ -123,8 +123,8 @@ def test_single_precision_is_no_drift(kind, later):
 def test_numbers_are_the_categories_that_are_written_so():
     promised = promised_states(log(colour=lambda rows: (rows["shine"] > 0.3).astype(int).astype(str)), COLUMNS)
     assert drifts_of(promised, log(1, colour=lambda rows: (rows["shine"] > 0.3).astype(int))) == ((), ())
-    (told,) = drifts_of(promised, log(1, colour=lambda rows: rows["shine"]))[1]
-    assert "colour is distributed differently" in told
+    (result,) = drifts_of(promised, log(1, colour=lambda rows: rows["shine"]))[1]
+    assert "colour is distributed differently" in result
 
 
 def test_a_drift_of_few_states_is_no_other_unit():
@@ -132,12 +132,12 @@ def test_a_drift_of_few_states_is_no_other_unit():
     assert (units, len(drifts)) == ((), 1)
 
 
-def test_what_drifts_in_a_later_stage_is_told_of_that():
+def test_what_drifts_in_a_later_stage_is_reported_of_that():
     _, (found,) = drifts_of(PROMISED, log(1, shine=lambda s: s["shine"].where(s["stage"] == 1, 0.5 * s["shine"])))
     assert "from stage 2 on" in found
 
 
-def test_swapped_columns_are_told_as_such():
+def test_swapped_columns_are_reported_as_such():
     found = drifts_of(PROMISED, log(1, weight=lambda s: s["shine"], shine=lambda s: s["weight"]))
     assert found == ((), ("covariates weight and shine look swapped",))
 

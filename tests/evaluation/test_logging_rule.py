@@ -58,8 +58,14 @@ def logged(rule, num_trajectories=300, random_share=0.5, seed=0):
         action = np.where(rng.random(num_trajectories) < random_share, rng.choice(ACTIONS, num_trajectories), says)
         likely = random_share / 3.0 + (1.0 - random_share) * (action == says)
         reward = (action == "A") * frame["x"] + (action == "B") * frame["y"] + 0.3 * rng.normal(size=num_trajectories)
-        told = {"trajectory": trajectory, "stage": stage, "elapsed_s": float(stage), "action": action, "reward": reward}
-        parts.append(frame.assign(**told, probability=likely, colour="red"))
+        result = {
+            "trajectory": trajectory,
+            "stage": stage,
+            "elapsed_s": float(stage),
+            "action": action,
+            "reward": reward,
+        }
+        parts.append(frame.assign(**result, probability=likely, colour="red"))
     ends = pd.DataFrame({"trajectory": trajectory, "end_s": 2.0, "ending": "finished"})
     return Logs(pd.concat(parts, ignore_index=True), ends)
 
@@ -103,7 +109,7 @@ def test_a_log_of_nothing_but_chance_shows_no_rule():
     logs = logged(thresholds, random_share=1.0)
     assert found_in(logs)[0].startswith("the log shows no rule")
     default, asked = (
-        evaluate(Rule(thresholds, ACTIONS, 2), logs, **told) for told in ({}, {"against": "logging-rule"})
+        evaluate(Rule(thresholds, ACTIONS, 2), logs, **result) for result in ({}, {"against": "logging-rule"})
     )
     assert [each.baseline for each in default.comparisons] == ["the logging policy"]
     assert "the logging policy without its exploration: the log shows no rule" in default.notes[0]

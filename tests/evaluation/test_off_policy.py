@@ -305,7 +305,7 @@ def test_what_is_not_said_is_one_q_for_all_stages_and_cox_on_their_clock():
         (FixedSequence(("B", "B")), {"actions": {1: ["A", "B"], 2: ["A"]}}, "action 'B' was not possible"),
     ],
 )
-def test_what_does_not_fit_is_told_in_one_line(policy, options, message):
+def test_what_does_not_fit_is_reported_in_one_line(policy, options, message):
     with pytest.raises((ArgumentError, LogError), match=message) as refusal:
         found_of(policy, log(16), **options)
     assert "\n" not in str(refusal.value)

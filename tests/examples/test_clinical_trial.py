@@ -66,7 +66,7 @@ def test_the_log_has_its_cuts_its_actions_and_times_as_rewards(share):
     assert spent_s[~np.isnan(spent_s)] / YEAR_S == pytest.approx(rewards, rel=1e-9)
 
 
-def test_a_policy_is_learned_and_told():
+def test_a_policy_is_learned_and_reported():
     found = compare(100, 1, seed=4, cut_shares=(0.5,), methods=("kernel",))
     assert found["ratio"].item() > 0.8
     measured, ratio = (found[name].item() for name in ("measured_share", "ratio"))

@@ -124,7 +124,7 @@ def test_logged_probabilities_are_the_shares_of_the_actions():
         assert (chance == chances[0][action]).all()
 
 
-def test_cuts_come_with_clutter_at_the_hazard_that_is_told():
+def test_cuts_come_with_clutter_at_the_hazard_that_is_reported():
     logs = simulate(20_000, seed=3)
     assert logs.cut_share == pytest.approx(0.35, abs=0.02)
     first = logs.stages[logs.stages["stage"] == 1]
@@ -138,11 +138,11 @@ def test_cuts_come_with_clutter_at_the_hazard_that_is_told():
 @pytest.mark.slow
 def test_the_shipped_logs_are_those_that_record_writes(tmp_path, capsys):
     record.main(["--out", str(tmp_path)])
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     for name, num_trajectories in record.NUM_TRAJECTORIES.items():
         shipped = read_logs(record.HERE / name)
         assert_alike(read_logs(tmp_path / name), shipped)
-        assert str(shipped.summary()) in told
+        assert str(shipped.summary()) in output
         assert num_bytes(record.HERE / name) < 100_000
         assert (shipped.num_trajectories, shipped.horizon) == (num_trajectories, HORIZON)
         assert shipped.cut_share == pytest.approx(0.35, abs=0.07)
@@ -170,7 +170,7 @@ def test_the_script_prints_values_and_the_recorded_logs_give_intervals(capsys):
 
 @pytest.mark.slow
 def test_cox_by_stage_beats_uncut_trajectories():
-    """Cox and Kaplan–Meier are not told apart by ten logs (+1 % of the optimum, standard error 1 %): printed only."""
+    """Cox and Kaplan–Meier do not differ in ten logs (+1 % of the optimum, standard error 1 %): printed only."""
     found = compare(1000, 10, seed=100, methods=("Cox", "Kaplan–Meier", "uncut only"))
     ratios = found.pivot_table(index="log", columns="method", values="value") / optimum()[0]
     print(ratios.agg(["mean", "sem"]))
@@ -181,7 +181,7 @@ def test_cox_by_stage_beats_uncut_trajectories():
     assert gain.mean() > 2 * gain.sem()
 
 
-def test_values_and_differences_are_told():
+def test_values_and_differences_are_reported():
     assert pick_cell.plain_policies() == (
         "Expected reward of a part: optimum 0.706; rule of thumb 0.641; best fixed order (parallel, suction, hand "
         "over) 0.535."

@@ -16,7 +16,7 @@ LONG_S = 10.0
 def main() -> int:
     """Run a campaign, or cases that were kept; the status says whether something is to be mended."""
     asked = argparse.ArgumentParser(prog="python -m fuzz", description=main.__doc__)
-    for name, default, told in (
+    for name, default, text in (
         ("--cases", 2000, "how many"),
         ("--seed", 0, "the same seed draws the same cases"),
         ("--first", 0, "number of the first case"),
@@ -24,7 +24,7 @@ def main() -> int:
         ("--limit-s", 30.0, "how long a case may take [s]"),
         ("--place", TESTS.parent / "runs" / "fuzz", "where inputs and failures go"),
     ):
-        asked.add_argument(name, type=type(default), default=default, help=told)
+        asked.add_argument(name, type=type(default), default=default, help=text)
     asked.add_argument("--light", action="store_true", help="leave out what compiles")
     asked.add_argument("--replay", type=Path, nargs="+", help="run these kept cases instead")
     chosen = asked.parse_args()
@@ -41,8 +41,10 @@ def main() -> int:
         def tell(result: Result) -> None:
             bar.update()
             if result.is_fault:
-                told = "" if result.case is None else f"{' '.join(result.case.words)} [{'; '.join(result.case.told)}]"
-                bar.write(f"{result.name}: {result.label}: {told[:400]!r}\n    {result.why[-1500:]}")
+                made = (
+                    "" if result.case is None else f"{' '.join(result.case.words)} [{'; '.join(result.case.mutations)}]"
+                )
+                bar.write(f"{result.name}: {result.label}: {made[:400]!r}\n    {result.why[-1500:]}")
                 if not chosen.replay and result.case is not None:
                     file = chosen.place / f"failed-{chosen.seed}-{result.name}.json"
                     file.write_text(saved(chosen.seed, int(result.name), chosen.place, not chosen.light))
@@ -51,7 +53,7 @@ def main() -> int:
     print(table(results))
     for result in sorted(results, key=lambda each: -each.seconds)[:5]:
         if result.seconds > LONG_S and result.case is not None:
-            print(f"{result.name}: {result.seconds:.0f} s: {' '.join(result.case.words)!r} {result.case.told}")
+            print(f"{result.name}: {result.seconds:.0f} s: {' '.join(result.case.words)!r} {result.case.mutations}")
     print(f"{len(results)} cases in {time.monotonic() - began:.0f} s")
     return int(any(result.is_fault for result in results))
 

@@ -67,12 +67,12 @@ class Worker:
         with suppress(OSError):
             self._talk.send({**order, **self._folders})
         name, case = str(order.get("number", Path(order.get("file", "")).name)), self._said(LOAD_S)
-        told = self._said(limit_s) if case else ()
-        outcome, answer, self.is_spent = told or (None, None, True)
+        reply = self._said(limit_s) if case else ()
+        outcome, answer, self.is_spent = reply or (None, None, True)
         self.is_spent |= self._num_cases >= MOST_CASES
         if not case:
             return Result(name, None, "fault: crash", f"in the making: {self.end()}", LOAD_S)
-        outcome = outcome or Outcome(None, seconds=limit_s, death="hang" if told is None else "crash")
+        outcome = outcome or Outcome(None, seconds=limit_s, death="hang" if reply is None else "crash")
         label, why = judged(case, outcome, answer)
         if outcome.death == "crash":
             why = self.end() + worker.last_words(self._folders["folder"]).read_text(errors="replace")[-3000:]

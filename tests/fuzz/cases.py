@@ -31,7 +31,7 @@ class Case:
 
     seed: str
     words: tuple[str, ...]
-    told: tuple[str, ...]
+    mutations: tuple[str, ...]
     line: int | None = None
 
 
@@ -47,13 +47,13 @@ def drawn(seed: int, number: int, corpus: Path, folder: Path, has_heavy: bool = 
     shutil.copytree(made(chosen, corpus), folder / INPUT)
     if kind == "words":
         words = tuple(other_words(rng, chosen.lines[k]))
-        return replace(case, words=words, told=("words",))
+        return replace(case, words=words, mutations=("words",))
     if kind == "neutral":
-        return replace(case, told=_neutral(rng, folder / INPUT), line=k)
-    told = [broken(rng, folder / INPUT) for _ in range(pick(rng, (1, 1, 2)))]
+        return replace(case, mutations=_neutral(rng, folder / INPUT), line=k)
+    mutations = [broken(rng, folder / INPUT) for _ in range(pick(rng, (1, 1, 2)))]
     if rng.integers(4):
         sealed(folder / INPUT)
-    return replace(case, told=tuple(told))
+    return replace(case, mutations=tuple(mutations))
 
 
 def broken(rng: np.random.Generator, folder: Path) -> str:
@@ -92,17 +92,17 @@ def kept(case: Case, folder: Path, corpus: Path) -> str:
     ours = {str(each.relative_to(folder / INPUT)): each for each in sorted((folder / INPUT).rglob("*"))}
     changed: dict[str, Any] = {name: {"gone": True} for name in theirs if name not in ours}
     for name, place in ours.items():
-        told = _told(place)
-        if name not in theirs or told != _told(theirs[name]):
-            changed[name] = told
+        content = _content(place)
+        if name not in theirs or content != _content(theirs[name]):
+            changed[name] = content
     return json.dumps({**asdict(case), "is_whole": is_whole, "changed": changed}, indent=1) + "\n"
 
 
 def remade(file: Path, corpus: Path, folder: Path) -> Case:
     """Make a kept case again in a fresh folder."""
-    told = json.loads(file.read_text(encoding="utf-8"))
-    changed, is_whole = told.pop("changed"), told.pop("is_whole")
-    case = Case(**{**told, "words": tuple(told["words"]), "told": tuple(told["told"])})
+    saved = json.loads(file.read_text(encoding="utf-8"))
+    changed, is_whole = saved.pop("changed"), saved.pop("is_whole")
+    case = Case(**{**saved, "words": tuple(saved["words"]), "mutations": tuple(saved["mutations"])})
     if is_whole:
         (folder / INPUT).mkdir()
     else:
@@ -112,7 +112,7 @@ def remade(file: Path, corpus: Path, folder: Path) -> Case:
     return case
 
 
-def _told(place: Path) -> dict[str, Any]:
+def _content(place: Path) -> dict[str, Any]:
     found = place.lstat()
     if stat.S_ISLNK(found.st_mode):
         return {"link": os.readlink(place)}

@@ -33,9 +33,9 @@ def of_json(rng: Rng, file: Path) -> str:
     text = file.read_text(errors="replace")
     lines = (text.splitlines() or [""]) if file.suffix == ".jsonl" else [text]
     k = int(rng.integers(len(lines)))
-    lines[k], told = _changed_json(rng, lines[k])
+    lines[k], mutation = _changed_json(rng, lines[k])
     file.write_text("\n".join(lines) + "\n", errors="surrogatepass")
-    return f"line {k + 1}: {told}"
+    return f"line {k + 1}: {mutation}"
 
 
 def _changed_json(rng: Rng, text: str) -> tuple[str, str]:
@@ -196,12 +196,12 @@ def of_safetensors(rng: Rng, file: Path) -> str:
     if rng.integers(2) and len(body) >= 8:
         place = 8 * int(rng.integers(len(body) // 8))
         body[place : place + 8] = np.float64(pick(rng, NUMBERS[:15])).tobytes()
-        told = "another number"
+        mutation = "another number"
     else:
-        text, told = _changed_json(rng, head.decode(errors="replace"))
+        text, mutation = _changed_json(rng, head.decode(errors="replace"))
         head = text.encode("utf-8", "surrogatepass")
     file.write_bytes(len(head).to_bytes(8, "little") + head + bytes(body))
-    return told
+    return mutation
 
 
 def of_hdf5(rng: Rng, file: Path) -> str:

@@ -100,28 +100,28 @@ def _cells(table: pa.Table, kinds: tuple[type, ...]) -> list[list[Any]]:
 def of_csv(rng: Rng, file: Path) -> str:
     """Another table, a cell too many, or another separator."""
     rows = list(csv.reader(io.StringIO(file.read_text(errors="replace"))))
-    told, width = pick(rng, (*["table"] * 7, "more", ";")), len(rows[0])
-    if told == "table":
+    mutation, width = pick(rng, (*["table"] * 7, "more", ";")), len(rows[0])
+    if mutation == "table":
         columns = [pa.array(each) for each in zip(*((row + [""] * width)[:width] for row in rows[1:]), strict=True)]
-        table, told = other_table(rng, pa.Table.from_arrays(columns, rows[0]))
+        table, mutation = other_table(rng, pa.Table.from_arrays(columns, rows[0]))
         rows = [table.column_names, *_cells(table, ())]
-    elif told == "more":
+    elif mutation == "more":
         rows[int(rng.integers(len(rows)))].append(pick(rng, IN_TEXT))
     text = io.StringIO()
-    csv.writer(text, delimiter=";" if told == ";" else ",").writerows(rows)
+    csv.writer(text, delimiter=";" if mutation == ";" else ",").writerows(rows)
     file.write_bytes(text.getvalue().encode("utf-8", errors="surrogatepass"))
-    return told
+    return mutation
 
 
 def of_parquet(rng: Rng, file: Path) -> str:
     """Another table, or metadata that lie."""
-    table, told = pq.ParquetFile(io.BytesIO(file.read_bytes())).read(), "metadata"
+    table, mutation = pq.ParquetFile(io.BytesIO(file.read_bytes())).read(), "metadata"
     if rng.integers(12):
-        table, told = other_table(rng, table)
+        table, mutation = other_table(rng, table)
     else:
         table = table.replace_schema_metadata({b"pandas": pick(rng, UNTRUE), b"halfseen": b"\x00"})
     pq.write_table(table, file)
-    return told
+    return mutation
 
 
 def of_sqlite(rng: Rng, file: Path) -> str:
@@ -131,15 +131,15 @@ def of_sqlite(rng: Rng, file: Path) -> str:
         found = base.execute(f'select * from "{name}"')
         names, columns = [each[0] for each in found.description], zip(*found.fetchall(), strict=True)
         base.execute(f'drop table "{name}"')
-        told = "dropped"
+        mutation = "dropped"
         if rng.integers(8):
-            table, told = other_table(rng, pa.Table.from_arrays([pa.array(values) for values in columns], names))
+            table, mutation = other_table(rng, pa.Table.from_arrays([pa.array(values) for values in columns], names))
             quoted = ['"' + each.replace('"', '""') + '"' for each in table.column_names]
             base.execute(f'create table "{name}" ({", ".join(quoted)})')
             places = ", ".join("?" * len(quoted))
             base.executemany(f'insert into "{name}" values ({places})', _cells(table, (int, float, bytes)))
         base.commit()
-    return f"{name}: {told}"
+    return f"{name}: {mutation}"
 
 
 def bomb(rng: Rng, file: Path) -> str:

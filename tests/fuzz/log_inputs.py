@@ -159,8 +159,8 @@ def trial(folder: Path) -> None:
 
     (folder / "trial.csv").write_text(PATIENTS.replace("NA", "").replace("reason", "lost"))
     shutil.copy(Path(__file__).parents[1] / "logs" / "formats" / "trial.xlsx", folder)
-    told = TRIAL.replace('covariates.age = {field = "age"}\n', "").replace('"reason"', '"lost"')
-    (folder / "trial.toml").write_text(told, encoding="utf-8")
+    text = TRIAL.replace('covariates.age = {field = "age"}\n', "").replace('"reason"', '"lost"')
+    (folder / "trial.toml").write_text(text, encoding="utf-8")
     heading, *rows = (line.split(",") for line in WIDE.splitlines())
     lines = (json.dumps(dict(zip(heading, row, strict=True))) for row in rows)
     (folder / "stages.jsonl").write_text("".join(f"{line}\n" for line in lines))

@@ -98,7 +98,7 @@ def _is_one_line(case: Case, outcome: Outcome) -> bool:
 
 
 def _evidence(fault: str, outcome: Outcome) -> str:
-    told: dict[str, Any] = {
+    explained: dict[str, Any] = {
         "memory": f"{outcome.grown_mb:.0f} MB; {outcome.err[-300:]}",
         "hang": f"{outcome.seconds:.0f} s",
         "input changed": ", ".join(outcome.changed),
@@ -107,7 +107,7 @@ def _evidence(fault: str, outcome: Outcome) -> str:
         "no JSON": outcome.out[-300:],
         "another answer": f"{outcome.err[-500:]} {outcome.out[:300]}",
     }
-    return told.get(fault) or f"{outcome.err[-1500:]}{outcome.netted}"
+    return explained.get(fault) or f"{outcome.err[-1500:]}{outcome.netted}"
 
 
 def _refuse(name: str) -> NoReturn:

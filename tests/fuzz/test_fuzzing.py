@@ -73,8 +73,15 @@ def test_a_hang_is_found_and_the_next_case_runs(place, tmp_path):
     short = Case("flat", ("inspect", "in/logs", "--json"), ())
     files = []
     for name, case in (("waits", waits), ("right", short)):
-        told = {"seed": case.seed, "words": case.words, "told": [], "line": None, "is_whole": False, "changed": {}}
-        (tmp_path / f"{name}.json").write_text(json.dumps(told))
+        saved = {
+            "seed": case.seed,
+            "words": case.words,
+            "mutations": [],
+            "line": None,
+            "is_whole": False,
+            "changed": {},
+        }
+        (tmp_path / f"{name}.json").write_text(json.dumps(saved))
         files.append({"file": str(tmp_path / f"{name}.json")})
     labels = {result.name: result.label for result in run(files, place, limit_s=15.0)}
     assert labels == {"waits.json": "fault: hang", "right.json": "right"}
@@ -104,7 +111,7 @@ REFUSAL = "halfseen: no; give another\n"
         (Outcome(None, death="crash"), "fault: crash"),
     ],
 )
-def test_faults_are_told_apart(outcome, label):
+def test_faults_are_distinguished(outcome, label):
     assert judged(Case("flat", ("inspect", "in/logs", "--json"), ()), outcome, None)[0] == label
 
 

@@ -83,11 +83,11 @@ def ran(words: Any, folder: Path) -> Outcome:
     from halfseen import cli
 
     caught: list[str] = []
-    told_of = cli.unexpected
+    report = cli.unexpected
 
     def noted(error: BaseException) -> str | None:
         caught.append("".join(traceback.format_exception(error)))
-        return told_of(error)
+        return report(error)
 
     before, rest_mb = _seen(folder), _memory_mb("VmRSS")
     Path("/proc/self/clear_refs").write_text("5")  # the peak is forgotten

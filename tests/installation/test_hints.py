@@ -38,8 +38,8 @@ HERE = str(Path(sys.executable).parent / "pip")
     ],
 )
 def test_an_extra_is_added_to_what_is_there(monkeypatch, origin, pip, command):
-    told = SimpleNamespace(read_text={"direct_url.json": origin and json.dumps(origin, default=str)}.__getitem__)
-    monkeypatch.setattr(metadata, "distribution", origin if origin is not_there else lambda _: told)
+    result = SimpleNamespace(read_text={"direct_url.json": origin and json.dumps(origin, default=str)}.__getitem__)
+    monkeypatch.setattr(metadata, "distribution", origin if origin is not_there else lambda _: result)
     monkeypatch.setattr(installation.shutil, "which", lambda _: pip)
     assert command_for("ros") == command
 

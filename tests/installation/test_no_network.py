@@ -33,8 +33,8 @@ print(json.dumps([run_line(line) for line in LINES]))
 def environment(folder, **more):
     """Environment of a Python to which the network is forbidden."""
     path = os.pathsep.join(map(str, (HERE / "no_sockets", CLONE, HERE.parent / "study", *filter(None, sys.path))))
-    told = {"PYTHONPATH": path, "FORBIDDEN_SOCKETS": str(folder / "forbidden"), "MINARI_DATASETS_PATH": str(folder)}
-    return os.environ | told | more
+    message = {"PYTHONPATH": path, "FORBIDDEN_SOCKETS": str(folder / "forbidden"), "MINARI_DATASETS_PATH": str(folder)}
+    return os.environ | message | more
 
 
 def asked_for(folder):
@@ -44,8 +44,8 @@ def asked_for(folder):
 
 def run(folder, *words, **more):
     """Run a Python to which the network is forbidden."""
-    command, told = [sys.executable, *words], environment(folder, **more)
-    return subprocess.run(command, env=told, cwd=folder, capture_output=True, text=True, check=False)
+    command, message = [sys.executable, *words], environment(folder, **more)
+    return subprocess.run(command, env=message, cwd=folder, capture_output=True, text=True, check=False)
 
 
 def test_no_verb_is_left_out():
@@ -99,13 +99,13 @@ def walked(tmp_path_factory):
     prepare(folder)
     done = run(folder, "-c", TINY_STUDY)
     assert done.returncode == 0, done.stderr
-    return folder, [Ended(*told) for told in json.loads(done.stdout)]
+    return folder, [Ended(*result) for result in json.loads(done.stdout)]
 
 
 @pytest.mark.slow
 def test_every_verb_works_without_a_network(walked):
     folder, ended = walked
-    assert [told for told in ended if told.status != 0] == []
+    assert [result for result in ended if result.status != 0] == []
     assert asked_for(folder) == ""
 
 

@@ -65,7 +65,7 @@ def test_a_version_that_is_cited_with_another_day_is_refused(cited, says):
     assert lacks("0.2.0", {"CITATION.cff": "0.2.0"}, CHANGELOG, cited) == [missing]
 
 
-def test_all_that_a_version_lacks_is_told_at_once():
+def test_all_that_a_version_lacks_is_reported_at_once():
     changelog = CHANGELOG.replace("[Unreleased]\n", "[Unreleased]\n\n- To come.\n")
     assert lacks("0.2.0.dev0", {"CITATION.cff": "0.1.0", "recipe.yaml": "0.2.0"}, changelog, None) == [
         "set 0.2.0 in src/halfseen/__init__.py (it says 0.2.0.dev0)",
@@ -101,7 +101,7 @@ def test_the_citation_has_what_its_form_requires_and_the_day_of_the_changelog():
     assert (cited_day() or "") == changelog.get(halfseen.__version__, ("", ""))[0]
 
 
-def test_pages_that_were_not_built_and_links_that_lead_nowhere_are_told(tmp_path):
+def test_pages_that_were_not_built_and_links_that_lead_nowhere_are_reported(tmp_path):
     docs, pages = tmp_path / "docs", tmp_path / "pages"
     for file in (docs / "index.md", docs / "guide" / "lost.md", docs / "guide" / "logs.md", pages / "a b.svg"):
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -151,8 +151,8 @@ def copy_of_the_source(folder):
 
 def build(folder, out, *kinds, umask="022"):
     words = " ".join(f"-t {kind}" for kind in kinds)
-    told = {"SOURCE_DATE_EPOCH": "1700000000"}
-    run("sh", "-c", f"umask {umask}; '{sys.executable}' -m hatchling build -d '{out}' {words}", cwd=folder, **told)
+    result = {"SOURCE_DATE_EPOCH": "1700000000"}
+    run("sh", "-c", f"umask {umask}; '{sys.executable}' -m hatchling build -d '{out}' {words}", cwd=folder, **result)
     return [path for kind in (".tar.gz", ".whl") for path in out.glob(f"*{kind}")]
 
 
@@ -197,7 +197,7 @@ def test_archives_hold_the_package_and_nothing_else(built):
         assert any(name.endswith("halfseen/scene/tables/table_00.pcd") for name in names)
 
 
-def test_what_is_no_part_of_the_package_is_told(tmp_path, monkeypatch):
+def test_what_is_no_part_of_the_package_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(archives, "LARGEST_MB", 0.001)
     monkeypatch.setattr(archives.socket, "gethostname", lambda: "bench-machine-7")
     wheel = tmp_path / "halfseen-1-py3-none-any.whl"
@@ -217,8 +217,8 @@ def test_the_bill_is_of_the_wheel_and_tells_no_address():
     names = ("halfseen", "jax", "pip")
     parts = [{"name": name, "bom-ref": f"{name}==1", "externalReferences": source} for name in names]
     refs = [{"ref": "halfseen==1"}, {"ref": "pip==1"}]
-    told = {"metadata": {"tools": source}, "components": parts, "dependencies": refs}
-    bill = plain(told)
+    result = {"metadata": {"tools": source}, "components": parts, "dependencies": refs}
+    bill = plain(result)
     assert bill["metadata"] == {"component": {"name": "halfseen", "bom-ref": "halfseen==1", "type": "application"}}
     assert [part["name"] for part in bill["components"]] == ["jax"]
     assert bill["dependencies"] == [{"ref": "halfseen==1"}]
@@ -226,13 +226,13 @@ def test_the_bill_is_of_the_wheel_and_tells_no_address():
 
 
 def test_what_an_extra_brings_is_pinned():
-    """Each direct requirement has a pin that it allows, for every Python that is told of."""
+    """Each direct requirement has a pin that it allows, for every Python that is named."""
     lines = (CLONE / "constraints.txt").read_text(encoding="utf-8").split()
     pins = {canonicalize_name(name): pin for name, pin in (line.split("==") for line in lines)}
     asked = [*PROJECT["dependencies"], *(line for extra in PROJECT["optional-dependencies"].values() for line in extra)]
-    for told in map(Requirement, asked):
-        if told.name != "halfseen":
-            assert told.specifier.contains(pins[canonicalize_name(told.name)], prereleases=True), told
+    for result in map(Requirement, asked):
+        if result.name != "halfseen":
+            assert result.specifier.contains(pins[canonicalize_name(result.name)], prereleases=True), result
     assert "setuptools" in pins  # osqp asks for it where Python does not bring it
     assert metadata.version("numpy") == pins["numpy"]
 
@@ -248,7 +248,7 @@ def test_the_recipe_asks_for_what_the_wheel_asks_for_builds_as_pip_does_and_desc
     run, host = (named(RECIPE["requirements"][part]) for part in ("run", "host"))
     assert str(run.pop("python")) == str(host.pop("python")) == PROJECT["requires-python"]
     assert run == named(PROJECT["dependencies"])
-    assert {name: told for name, told in host.items() if name != "pip"} == named(TOLD["build-system"]["requires"])
+    assert {name: result for name, result in host.items() if name != "pip"} == named(TOLD["build-system"]["requires"])
     about, (entry_point,) = RECIPE["about"], RECIPE["build"]["python"]["entry_points"]
     assert (RECIPE["package"]["name"], about["summary"]) == (PROJECT["name"], PROJECT["description"])
     assert (about["license"], [about["license_file"]]) == (PROJECT["license"], PROJECT["license-files"])

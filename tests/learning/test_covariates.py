@@ -79,14 +79,14 @@ def test_an_unknown_category_is_named_with_those_that_are_known(logs):
     policy = learner().fit(logs)
     strange = logs.stages.assign(colour=logs.stages["colour"].where(logs.stages.index != 5, "mauve"))
     row = strange.iloc[5]
-    told = (
+    message = (
         f"trajectory {row['trajectory']}, stage {row['stage']}: covariate 'colour' is 'mauve', which the training log "
         "lacks; give one of 'blue', 'green', 'red', or learn again from logs with 'mauve'"
     )
     for ask in (policy.q_values, policy.decide):
         with pytest.raises(LogError) as refusal:
             ask(strange, 1)
-        assert str(refusal.value) == told
+        assert str(refusal.value) == message
     with pytest.raises(LogError, match="row 1: covariate 'colour' is null; fill it in"):
         policy.decide(STATES.assign(colour=["red", None, "blue", "red"]), 1)
 
@@ -123,7 +123,7 @@ def test_what_cannot_be_looked_at_is_refused_where_it_is_asked_for(make, message
     learner().fit(log)
 
 
-def test_a_name_of_trajectories_is_told_from_a_category_across_the_parts_of_a_log():
+def test_a_name_of_trajectories_is_reported_from_a_category_across_the_parts_of_a_log():
     names = [text_log(num_trajectories=15, order=lambda trajectory, stage: f"{trajectory}")]
     parts = [
         text_log(num_trajectories=2, order=lambda trajectory, stage: f"{trajectory}"),
@@ -218,7 +218,7 @@ def test_three_percent_by_chance_cost_no_more_than_their_share():
 
 
 @pytest.mark.slow
-def test_what_is_missing_for_a_reason_is_told_by_the_flag():
+def test_what_is_missing_for_a_reason_is_reported_by_the_flag():
     flagged = np.array([value(learned(where_low, seed, MEDIAN), where_low) for seed in range(8)])
     carried = np.array([value(learned(where_low, seed, LAST), where_low) for seed in range(8)])
     assert flagged.mean() > 0.95 * BEST

@@ -133,7 +133,7 @@ def test_what_cannot_be_is_refused_in_words(logs, changed, error, message):
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"actions": pd.Series(["A", "B"])}, "actions is a Series; give a list of names"),
         ({"actions": [["A"], ["B"]]}, r"actions are \[\['A'\], \['B'\]\]; give a list of names, or one for each"),
@@ -143,8 +143,8 @@ def test_what_cannot_be_is_refused_in_words(logs, changed, error, message):
         ({"half_life": [3]}, r"half_life is \[3\]; give a number of trajectories above 0"),
     ],
 )
-def test_parameters_of_another_type_are_refused_in_one_line(logs, changed, told):
-    with refused_type(told):
+def test_parameters_of_another_type_are_refused_in_one_line(logs, changed, message):
+    with refused_type(message):
         learner(**changed).fit(logs)
 
 

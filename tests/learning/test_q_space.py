@@ -128,11 +128,11 @@ def promising(value):
     return DiscretePolicy(("A", "B"), (), np.array([[True, False]]), np.array([[[value], [1e6]]]))
 
 
-@pytest.mark.parametrize(("value", "is_told"), [(RARE - 0.01, False), (RARE + 0.01, True)])
-def test_what_is_promised_is_held_against_what_one_in_twenty_finished_trajectories_brought(value, is_told):
+@pytest.mark.parametrize(("value", "is_reported"), [(RARE - 0.01, False), (RARE + 0.01, True)])
+def test_what_is_promised_is_held_against_what_one_in_twenty_finished_trajectories_brought(value, is_reported):
     said = promise.too_hopeful(promising(value), LOG)
-    assert bool(said) == is_told
-    assert not is_told or f"{value:.3g} a trajectory" in said
+    assert bool(said) == is_reported
+    assert not is_reported or f"{value:.3g} a trajectory" in said
 
 
 def test_few_finished_trajectories_say_nothing():

@@ -161,9 +161,9 @@ def test_an_action_that_was_cut_each_time_is_never_chosen(stages, censoring, q_f
     learner = CensoredQLearner.of_paper(1, ACTIONS, ["x"], stages=stages, censoring=censoring, q_function=q_function)
     learner.fit(always_cut())
     assert set(learner.decide(pd.DataFrame({"x": np.linspace(-5, 5, 50)}), 1)) == {"A"}
-    (told,) = learner.unseen_
-    assert told.startswith("B was never completed")
-    assert "(begun 20 times and cut each time)" in told
+    (result,) = learner.unseen_
+    assert result.startswith("B was never completed")
+    assert "(begun 20 times and cut each time)" in result
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from valid_logs import small_tables
 
 RULES = (Path(__file__).parents[2] / "docs" / "reference" / "log-rules.csv").read_text(encoding="utf-8")
 MESSAGES = {row["id"]: row["message"].strip("`") for row in csv.DictReader(RULES.splitlines())}
-PATTERNS = {rule: ".*".join(re.escape(part) for part in told.split("…")) for rule, told in MESSAGES.items()}
+PATTERNS = {rule: ".*".join(re.escape(part) for part in message.split("…")) for rule, message in MESSAGES.items()}
 HORIZON = 4
 TASKS = {
     "T": TableTask(),
@@ -185,14 +185,14 @@ BREAKS = {
     "P03": [*((trajectories("end_s", 0, value), f"trajectory 1: end_s {value} is") for value in (0.0, -1.0, np.inf)),
             (trajectories("end_s", 1, None), "trajectory 2: end_s nan is")],
     "P04": [trajectories("end_s", 1, 1.7e9)],
-    "P05": [*((trajectories("ending", 1, value), f"trajectory 2: ending {told} is")
-              for value, told in (("done", "'done'"), ("Cut", "'Cut'"), (None, "null")))],
+    "P05": [*((trajectories("ending", 1, value), f"trajectory 2: ending {message} is")
+              for value, message in (("done", "'done'"), ("Cut", "'Cut'"), (None, "null")))],
     "P06": [(trajectories("cause", 0, "battery"), "trajectory 1: .* 'battery'")],
     "P07": [(rows("stages", [0, 1, 2, 3]), "trajectory 3: .*even a trajectory cut in its first"), rows("stages", [])],
     "S01": [(rows("trajectories", [0, 1]), "trajectory 3, stage 1:"), (stages("trajectory", EVERY, list("11223")),
             "trajectory '1', stage 1:")],
-    "S02": [*((stages("stage", 1, value), f"stages, row 1, trajectory 1: stage {told} is")
-              for value, told in ((1.5, "1.5"), (None, "nan"), (np.inf, "inf")))],
+    "S02": [*((stages("stage", 1, value), f"stages, row 1, trajectory 1: stage {message} is")
+              for value, message in ((1.5, "1.5"), (None, "nan"), (np.inf, "inf")))],
     "S03": [(rows("stages", [0, 1, 2, 3, 4, 2]), "trajectory 2, stage 1:")],
     "S04": [
         (stages("stage", 1, 3), "trajectory 1, stage 3: stage 2 is missing"),
@@ -218,12 +218,13 @@ BREAKS = {
     ],
     "S10": [trajectories("end_s", 0, 4000.0), trajectories("end_s", 0, 4e6)],
     "S11": [(stages("action", 0, None), "trajectory 1, stage 1:")],
-    "S12": [*((stages("reward", 1, value), f"trajectory 1, stage 2: .* {told};")
-              for value, told in ((None, "nan"), (np.inf, "inf")))],
+    "S12": [*((stages("reward", 1, value), f"trajectory 1, stage 2: .* {message};")
+              for value, message in ((None, "nan"), (np.inf, "inf")))],
     "S13": [(stages("reward", 3, 1.0), "trajectory 2, stage 2: reward 1.0")],
     "S15": [(stages("reward", 1, -1e155), "trajectory 1, stage 2: reward -1e[+]155")],
-    "S14": [*((stages("probability", row, value), f"trajectory {at}: probability {told}") for row, value, at, told in
-              ((0, 0.0, "1, stage 1", "0.0"), (3, 1.1, "2, stage 2", "1.1"), (2, None, "2, stage 1", "nan"),
+    "S14": [*((stages("probability", row, value), f"trajectory {at}: probability {message}")
+              for row, value, at, message in (
+               (0, 0.0, "1, stage 1", "0.0"), (3, 1.1, "2, stage 2", "1.1"), (2, None, "2, stage 1", "nan"),
                (3, -0.5, "2, stage 2", "-0.5")))],
     "O01": [(objects("trajectory", 0, 9), "trajectory 9, stage 1, object 'cup'")],
     "O02": [(objects("stage", 9, 2), "trajectory 3, .* 'mug': the trajectory has stages 1 to 1"),
@@ -258,7 +259,7 @@ BREAKS = {
     "T21": [both(stages("action", 0, "DROP"), stages("object", 0, None))],
     "A01": [both(stages("action", 0, "DROP"), stages("action", 1, "LIFT"))],
 }  # fmt: skip
-"""By rule: what breaks it alone, in a log that is otherwise sound, and what is told beside what the page promises."""
+"""By rule: what breaks it alone, in a log that is otherwise sound, and what is said beside what the page promises."""
 
 
 def written(folder, frames):
@@ -283,40 +284,40 @@ def checked(logs, rule):
     return logs
 
 
-def check_on_disk(folder, rule, told=""):
+def check_on_disk(folder, rule, message=""):
     before = content(folder)
     with refused(rf"^(.*: )?{PATTERNS[rule]}", LogError) as caught:
         checked(read_logs(folder), rule)
-    assert re.search(told, str(caught.value))
+    assert re.search(message, str(caught.value))
     assert content(folder) == before
 
 
-def check_of_tables(folder, frames, rule, told):
+def check_of_tables(folder, frames, rule, message):
     with refused(f"^{PATTERNS[rule]}", LogError) as caught:
         checked(Logs(**frames), rule)
-    assert re.search(told, str(caught.value))
+    assert re.search(message, str(caught.value))
     # How values come from files matters to columns; what is said of them does not differ.
     if rule[0] == "C" or folder.name == "0":
         check_on_disk(written(folder, frames), rule)
 
 
 @pytest.mark.parametrize("rule", BREAKS)
-def test_a_broken_rule_is_told_in_one_line_and_nothing_is_lost(rule, tmp_path):
+def test_a_broken_rule_is_reported_in_one_line_and_nothing_is_lost(rule, tmp_path):
     for number, case in enumerate(BREAKS[rule]):
-        break_it, told = case if isinstance(case, tuple) else (case, "")
+        break_it, result = case if isinstance(case, tuple) else (case, "")
         if isinstance(break_it, File):
             folder = written(tmp_path / str(number), tables())
             break_it(folder)
-            check_on_disk(folder, rule, told)
+            check_on_disk(folder, rule, result)
             continue
         frames = tables()
         break_it(frames)
-        check_of_tables(tmp_path / str(number), frames, rule, told)
+        check_of_tables(tmp_path / str(number), frames, rule, result)
         frames = flat_tables()
         if rule[0] in "CPS":
             with suppress(KeyError):  # where it is of objects
                 break_it(frames)
-                check_of_tables(tmp_path / f"{number}-flat", frames, rule, told)
+                check_of_tables(tmp_path / f"{number}-flat", frames, rule, result)
 
 
 def test_the_page_tells_of_every_rule_and_the_unbroken_logs_break_none(tmp_path):
@@ -331,7 +332,7 @@ def test_the_page_tells_of_every_rule_and_the_unbroken_logs_break_none(tmp_path)
         read_logs(tmp_path / "none")
 
 
-def test_what_a_file_says_that_is_whole_and_wrong_is_told_with_the_folder(tmp_path):
+def test_what_a_file_says_that_is_whole_and_wrong_is_reported_with_the_folder(tmp_path):
     folder = written(tmp_path / "logs", tables())
     pages = (folder / "stages.parquet").read_bytes()
     (folder / "stages.parquet").write_bytes(pages[:4] + bytes(196) + pages[200:])
@@ -342,8 +343,8 @@ def test_what_a_file_says_that_is_whole_and_wrong_is_told_with_the_folder(tmp_pa
     with refused(r"^\S*late: trajectory 1, stage 2: elapsed_s 1.0 is before", LogError):
         read_logs(written(tmp_path / "late", frames))
     # On the command line, too.
-    told = CliRunner().invoke(halfseen, ["inspect", str(tmp_path / "late")])
-    assert isinstance(told.exception, LogError)
+    result = CliRunner().invoke(halfseen, ["inspect", str(tmp_path / "late")])
+    assert isinstance(result.exception, LogError)
 
 
 @pytest.mark.parametrize(

@@ -67,9 +67,9 @@ def test_simulated_logs_raise_none(cut_kind):
 
 def test_where_every_trajectory_was_cut_it_is_the_first_that_is_said(tables):
     was_cut = tables["trajectories"].loc[tables["trajectories"]["ending"] == "cut", "trajectory"]
-    told = found({name: table[table["trajectory"].isin(was_cut)] for name, table in tables.items()})
-    assert next(iter(told)) == "all-cut"
-    assert told["all-cut"].startswith(f"all {len(was_cut)} trajectories were cut: none was observed to its own end")
+    result = found({name: table[table["trajectory"].isin(was_cut)] for name, table in tables.items()})
+    assert next(iter(result)) == "all-cut"
+    assert result["all-cut"].startswith(f"all {len(was_cut)} trajectories were cut: none was observed to its own end")
 
 
 def caused(tables, cause, rows=slice(None), end_s=None):
@@ -190,9 +190,9 @@ def test_what_was_probably_not_meant_is_asked_about_and_nothing_else(tables, cha
         "completed": tables["stages"]["elapsed_s"].notna().sum(),
         "stages": len(tables["stages"]),
     }
-    told = found(tables)
-    assert set(told) == {kind}
-    assert re.search(sentence.format(**counts), told[kind])
+    result = found(tables)
+    assert set(result) == {kind}
+    assert re.search(sentence.format(**counts), result[kind])
 
 
 def test_a_success_that_pays_far_more_than_a_step_is_no_far_value(tables):
@@ -215,8 +215,8 @@ def test_cuts_in_one_stage(tables):
     stages = tables["stages"]
     stages = stages[~stages["trajectory"].isin(cut) | (stages["stage"] == 1)].copy()
     stages.loc[stages["trajectory"].isin(cut), ["elapsed_s", "reward"]] = np.nan
-    told = f"all {len(cut)} cuts fall in stage 1: does the task itself end trajectories there?"
-    assert found({"stages": stages, "trajectories": tables["trajectories"]}) == {"cuts-in-one-stage": told}
+    message = f"all {len(cut)} cuts fall in stage 1: does the task itself end trajectories there?"
+    assert found({"stages": stages, "trajectories": tables["trajectories"]}) == {"cuts-in-one-stage": message}
 
 
 def test_object_covariates_of_mixed_units(tables):
@@ -291,9 +291,9 @@ def test_signs_decimal_points_and_letters_are_more_than_spelling(names):
 def test_names_that_look_alike_are_said_by_their_code_points(tables, table, column, what):
     rows = tables[table]
     rows[column] = [(NFC, NFD, "pick")[k % 3] for k in range(len(rows))]
-    told = found(tables)["spelling"]
-    assert told.startswith(rf"{what} 'cafe\u0301', 'caf\xe9' differ only in their spelling: count them as one (in")
-    assert tomllib.loads(told[told.index("values =") : -1])["values"] == {NFC: NFD}
+    result = found(tables)["spelling"]
+    assert result.startswith(rf"{what} 'cafe\u0301', 'caf\xe9' differ only in their spelling: count them as one (in")
+    assert tomllib.loads(result[result.index("values =") : -1])["values"] == {NFC: NFD}
 
 
 @pytest.mark.parametrize("form", ["{}%", "{},5 kg", "0:{:02}:00", "2025-01-{:02}", "-{} °C"])
@@ -312,8 +312,8 @@ def test_texts_of_measured_values(tables, form):
 def test_many_whole_numbers_as_text_may_be_sizes(tables):
     for num, is_doubted in ((20, False), (21, True)):
         tables["stages"]["c"] = [str(k % num) for k in range(len(tables["stages"]))]
-        told = found(tables)
-        assert ("if they are sizes, and no names, write them" in told.get("number-as-text", "")) == is_doubted
+        result = found(tables)
+        assert ("if they are sizes, and no names, write them" in result.get("number-as-text", "")) == is_doubted
 
 
 def test_numbers_of_one_value_are_one_name(tables):
@@ -337,11 +337,11 @@ def test_a_clock_that_runs_on(tables):
     begin_s = of_each.cumsum() - of_each
     for name, column in (("stages", "elapsed_s"), ("trajectories", "end_s")):
         tables[name][column] += begin_s[tables[name]["trajectory"]].to_numpy()
-    told = found(tables)["running-clock"]
+    result = found(tables)["running-clock"]
     assert re.search(
         r"continues across .* first stage of \d+ ends at [\d.]+ s, after the last of \d+ at [\d.]+ s; "
         "count",
-        told,
+        result,
     )
 
 
@@ -355,9 +355,9 @@ def test_no_exploration(tables):
 def test_copied_trajectories(tables):
     again = {name: frame[frame["trajectory"].isin([3, 5, 8])] for name, frame in tables.items()}
     again = {name: frame.assign(trajectory=frame["trajectory"] + 1000) for name, frame in again.items()}
-    told = found({name: pd.concat([frame, again[name]]) for name, frame in tables.items()})
-    assert set(told) == {"duplicated-trajectories"}
-    assert re.search(r"\(such as (3 and 1003|5 and 1005)\)", told["duplicated-trajectories"])
+    result = found({name: pd.concat([frame, again[name]]) for name, frame in tables.items()})
+    assert set(result) == {"duplicated-trajectories"}
+    assert re.search(r"\(such as (3 and 1003|5 and 1005)\)", result["duplicated-trajectories"])
 
 
 def test_trajectories_of_whole_steps_may_agree(tables):
@@ -371,7 +371,7 @@ def test_trajectories_of_whole_steps_may_agree(tables):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("code", "lowest"), [(-1.0, 0.0), (-999.0, 0.0), (-9999.0, -50.0), (65535.0, 0.0)])
-def test_a_number_that_stands_for_nothing_is_told(tables, code, lowest):
+def test_a_number_that_stands_for_nothing_is_reported(tables, code, lowest):
     seen = tables["stages"]["distance"].clip(upper=20.0) + lowest
     for num in (3, 2):
         tables["stages"]["distance"] = np.where(np.arange(len(seen)) % (len(seen) // num) == 1, code, seen)
@@ -382,17 +382,17 @@ def test_a_number_that_stands_for_nothing_is_told(tables, code, lowest):
 
 
 @pytest.mark.parametrize("column", ["reward", "distance"])
-def test_a_sign_that_was_lost_is_told(tables, column):
+def test_a_sign_that_was_lost_is_reported(tables, column):
     stages = tables["stages"]
     small = stages[column].clip(0.0, 3.0).round()
     stages[column] = small.mask((np.arange(len(small)) % 7 == 0) & small.notna(), np.uint8(255))
-    assert "is 255 in" in (told := found(tables)["stand-in"])
-    assert told.endswith("0 to 3 in all others: was -1 written in a type without a sign?")
+    assert "is 255 in" in (result := found(tables)["stand-in"])
+    assert result.endswith("0 to 3 in all others: was -1 written in a type without a sign?")
     stages[column] = (85.0 * small).mask(small == 2.0, 254.0)
     assert "stand-in" not in found(tables)
 
 
-def test_true_in_two_spellings_is_told(tables):
+def test_true_in_two_spellings_is_reported(tables):
     words = np.resize(["True", "1", "False", "False"], len(tables["stages"]))
     tables["stages"]["is_wet"] = words
     assert found(tables)["truths-mixed"].startswith("covariate is_wet is 'True' and '1' and 'False', each of which")

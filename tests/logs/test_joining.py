@@ -113,7 +113,7 @@ def test_trajectories_that_are_being_recorded_are_left_out(tmp_path):
 @pytest.mark.slow
 def test_folders_that_do_not_go_together_are_refused(tmp_path):
     a, tables = one_trajectory(tmp_path / "a"), written(table_log(4), tmp_path / "t")
-    for number, (columns, told) in enumerate(
+    for number, (columns, message) in enumerate(
         [
             ({"action": 3}, "stages: column 'action' is int64 in B, and string in those before it; give it one type"),
             ({"x": "red"}, "stages: column 'x' is string in B, and double in those before it; give it one type"),
@@ -126,15 +126,15 @@ def test_folders_that_do_not_go_together_are_refused(tmp_path):
         with refused() as caught:
             compact([a, b], tmp_path / "all")
         words = str(caught.value).replace(str(a), "A").replace(str(b), "B").replace("large_string", "string")
-        assert words == told
-    for folders, out, told, kind in (
+        assert words == message
+    for folders, out, message, kind in (
         ([a, tables], "all", r"t has objects and .*a has none", LogError),
         ([a, tmp_path / "t" / ".." / "a"], "all", "are the same folder; give it once", ArgumentError),
         ([a], "t", "it already exists", ArgumentError),
         ([a, tmp_path / "nowhere"], "all", "no such folder", LogError),
         ([], "all", "no folder is given", ArgumentError),
     ):
-        with refused(told, kind):
+        with refused(message, kind):
             compact(folders, tmp_path / out)
     assert not (tmp_path / "all").exists()
 
@@ -154,13 +154,13 @@ def test_a_fault_in_the_middle_leaves_nothing(tmp_path):
 @pytest.mark.slow
 def test_the_command_line_tells_how_many(tmp_path):
     folders = [str(one_trajectory(tmp_path / name)) for name in "abc"]
-    told = CliRunner().invoke(convert, [*folders, "--out", str(tmp_path / "all")], catch_exceptions=False).stdout
-    assert told == f"{tmp_path / 'all'}: 3 trajectories with 3 stages from 3 folders\n"
-    told = CliRunner().invoke(convert, [*folders, "--out", str(tmp_path / "again"), "--json"]).stdout
-    assert json.loads(told)["num_trajectories"] == 3
+    output = CliRunner().invoke(convert, [*folders, "--out", str(tmp_path / "all")], catch_exceptions=False).stdout
+    assert output == f"{tmp_path / 'all'}: 3 trajectories with 3 stages from 3 folders\n"
+    output = CliRunner().invoke(convert, [*folders, "--out", str(tmp_path / "again"), "--json"]).stdout
+    assert json.loads(output)["num_trajectories"] == 3
     assert isinstance(CliRunner().invoke(convert, [*folders, "--out", "csv:x"]).exception, ArgumentError)
-    told = str(CliRunner().invoke(convert, [*folders, "--out", "x", "--step-s", "1"]).exception)
-    assert "--step-s is for a source of kind minari" in told
+    output = str(CliRunner().invoke(convert, [*folders, "--out", "x", "--step-s", "1"]).exception)
+    assert "--step-s is for a source of kind minari" in output
 
 
 # In memory, and whichever way.
@@ -192,7 +192,7 @@ def in_a_folder(logs, folder):
 
 @pytest.mark.parametrize("join", [lambda logs, folder: joined(logs), in_a_stream, in_a_folder])
 @pytest.mark.parametrize(
-    ("logs", "told"),
+    ("logs", "message"),
     [
         ([], "no log to join|there are no parts|no folder is given"),
         ([log(1), log(2, size=[1.0])], "only some of the|has objects and"),
@@ -200,8 +200,8 @@ def in_a_folder(logs, folder):
         ([log(1).in_unit("Körbe"), log(2).in_unit("parts")], "rewards are in 'Körbe' and in 'parts'"),
     ],
 )
-def test_what_does_not_fit_together_is_refused(join, logs, told, tmp_path):
-    with refused(told):
+def test_what_does_not_fit_together_is_refused(join, logs, message, tmp_path):
+    with refused(message):
         join(logs, tmp_path)
     assert not (tmp_path / "all").exists()
 

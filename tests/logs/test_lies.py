@@ -181,8 +181,8 @@ def test_the_number_of_a_row_is_no_covariate():
     }
     seen |= {"action": rng.choice(["A", "B"], 6 * num), "reward": rng.random(6 * num), "x": rng.random(6 * num)}
     for row in (np.arange(6 * num), np.arange(6.0 * num)[::-1] + 7):
-        told = [each.sentence for each in data_warnings(log_of(**seen, row=row)) if each.kind == "identifier"]
-        assert told == ["covariate row numbers the rows, which predicts nothing about the next one: leave it out"]
+        result = [each.sentence for each in data_warnings(log_of(**seen, row=row)) if each.kind == "identifier"]
+        assert result == ["covariate row numbers the rows, which predicts nothing about the next one: leave it out"]
     assert "identifier" not in {
         each.kind for each in data_warnings(log_of(**seen, row=rng.permutation(960)[: 6 * num]))
     }
@@ -195,10 +195,10 @@ def test_no_verdict_rests_on_copies_unless_they_are_trusted():
         pd.concat([each, again.assign(trajectory=again["trajectory"] + 1000)])
         for each, again in ((each, each[each["trajectory"] < 100]) for each in once)
     )
-    told = evaluated(stages, trajectories)
-    assert told.verdict == "inconclusive"
-    assert " trajectories are copies of another" in told.reason
-    assert "--trust-trajectories" in told.reason
+    result = evaluated(stages, trajectories)
+    assert result.verdict == "inconclusive"
+    assert " trajectories are copies of another" in result.reason
+    assert "--trust-trajectories" in result.reason
     assert evaluated(stages, trajectories, trust=("trajectories",)).verdict == evaluated(*once).verdict == "better"
     few = [each[each["trajectory"] < 1005] for each in (stages, trajectories)]
     assert evaluated(*few).verdict == "better"
@@ -215,18 +215,18 @@ def test_trajectories_of_a_coarse_clock_may_agree():
 @pytest.mark.slow
 def test_no_verdict_rests_on_probabilities_that_nobody_had_unless_they_are_trusted():
     stages, trajectories = tables(1000)
-    honest, told = evaluated(stages, trajectories), evaluated(stages.assign(probability=0.8125), trajectories)
+    honest, result = evaluated(stages, trajectories), evaluated(stages.assign(probability=0.8125), trajectories)
     assert honest.verdict == "better"
-    assert told.verdict == told.comparisons[0].verdict == "inconclusive"
-    assert "the log cannot be true" in told.reason
-    assert "--trust-probabilities" in told.reason
+    assert result.verdict == result.comparisons[0].verdict == "inconclusive"
+    assert "the log cannot be true" in result.reason
+    assert "--trust-probabilities" in result.reason
     # What cannot be said anyway keeps its reason, and the doubt is noted.
     few = evaluated(*(each[each["trajectory"] < 60] for each in (stages.assign(probability=0.8125), trajectories)))
-    assert (few.verdict, few.reason == told.reason) == ("inconclusive", False)
+    assert (few.verdict, few.reason == result.reason) == ("inconclusive", False)
     assert "the log cannot be true" in few.notes[0]
     trusted = evaluated(stages.assign(probability=0.8125), trajectories, trust=("probabilities",))
     assert trusted.verdict == "better"
-    assert trusted.doubly_robust == told.doubly_robust
+    assert trusted.doubly_robust == result.doubly_robust
     with pytest.raises(ArgumentError, match="trust is 'all'; give a list of some of probabilities, covariates"):
         evaluated(stages, trajectories, trust=("all",))
 

@@ -1,4 +1,4 @@
-"""Logs in a folder, on disk or in an object store: whole or not at all, and what is not given is told in one line."""
+"""Logs in a folder, on disk or in an object store: whole or not at all, and what is missing is reported in one line."""
 
 import os
 from functools import partial
@@ -70,15 +70,15 @@ def not_in_place(folder, target, rename=Path.rename):
 
 
 @pytest.mark.parametrize(
-    ("at", "fault", "told"),
+    ("at", "fault", "message"),
     [
         ("pyarrow.parquet.write_table", full_disk, r"cannot be written .No space left on device"),
         ("pathlib.Path.rename", not_in_place, "Input/output error"),
     ],
 )
-def test_an_overwrite_that_fails_leaves_what_was_there(folder, logs, monkeypatch, at, fault, told):
+def test_an_overwrite_that_fails_leaves_what_was_there(folder, logs, monkeypatch, at, fault, message):
     monkeypatch.setattr(at, fault)
-    with pytest.raises(ArgumentError, match=told):
+    with pytest.raises(ArgumentError, match=message):
         logs.write(folder, overwrite=True)
     assert os.listdir(folder.parent) == ["logs"]
     assert_same(read_logs(folder), logs)
@@ -151,7 +151,7 @@ def test_what_is_not_there_is_named(address, message, store):
 
 
 @pytest.mark.parametrize("error", [PermissionError("Access Denied"), RuntimeError("no credentials\nsee the docs")])
-def test_what_a_store_refuses_is_told(error, store, monkeypatch):
+def test_what_a_store_refuses_is_reported(error, store, monkeypatch):
     def refuses(*_, **__):
         raise error
 
@@ -178,7 +178,7 @@ def test_an_address_in_a_store_becomes_no_folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["e.csv", "e.jsonl.gz", "e.ndjson.gz"])
-def test_tables_of_other_programs_are_told_how_to_be_read(tmp_path, name):
+def test_tables_of_other_programs_are_reported_how_to_be_read(tmp_path, name):
     (tmp_path / name).touch()
     for place in (tmp_path / name, tmp_path):
         with refused(r"make a mapping of (it|its tables): halfseen convert .* --mapping-template --out", LogError):

@@ -65,12 +65,12 @@ def folder(tmp_path):
     return tmp_path / "logs"
 
 
-def test_rows_that_are_out_of_place_are_told(folder):
+def test_rows_that_are_out_of_place_are_reported(folder):
     def streamed(folder):
         return list(LogStream(folder, 5))
 
     broken = r"logs: trajectory 7, stage 2: the stage is completed, yet its reward is nan"
-    for name, rows, told in (
+    for name, rows, result in (
         ("stages", [*range(10, 20), *range(10)], {streamed: r"rows of trajectory 5 are where .* trajectory 0;"}),
         ("stages", [*range(18), 0, 1], {
             streamed: "rows of trajectory 0 are where .* has trajectory 9",
@@ -91,7 +91,7 @@ def test_rows_that_are_out_of_place_are_told(folder):
             assert ShardReader(LogStream(folder, 5).as_folder).read(first).num_trajectories == 5
         else:
             pq.write_table(table.take(rows), file)
-        for read, words in told.items():
+        for read, words in result.items():
             with refused(words, LogError):
                 read(folder)
         file.write_bytes(content)
@@ -111,7 +111,7 @@ def test_what_is_written_in_parts_is_read_as_a_whole(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("parts", "told"),
+    ("parts", "message"),
     [
         ([two_stages(range(5, 10)), two_stages(range(5))], "trajectory 0: it comes after trajectory 9; sort the parts"),
         (
@@ -121,8 +121,8 @@ def test_what_is_written_in_parts_is_read_as_a_whole(tmp_path):
         ([], "there are no parts"),
     ],
 )
-def test_nothing_is_left_of_what_went_wrong(tmp_path, parts, told):
-    with refused(told):
+def test_nothing_is_left_of_what_went_wrong(tmp_path, parts, message):
+    with refused(message):
         write_stream(iter(parts), tmp_path / "logs")
     assert list(tmp_path.iterdir()) == []
 

@@ -202,12 +202,12 @@ def test_a_column_that_is_not_there_is_filled_in_as_one_of_null(tmp_path, rule):
     lacking = Logs(logs.stages.drop(columns=["x", "colour"]), logs.trajectories, missing="keep")
     lacking.write(tmp_path / "lacking")
     null = Logs(logs.stages.assign(x=None, colour=None), logs.trajectories, missing=filling)
-    told = r"stages: there is no column '(x|colour)'; it is replaced by the .* in every stage"
-    with pytest.warns(HalfseenWarning, match=told):
+    message = r"stages: there is no column '(x|colour)'; it is replaced by the .* in every stage"
+    with pytest.warns(HalfseenWarning, match=message):
         found = Logs(lacking.stages, logs.trajectories, missing=filling)
     pd.testing.assert_frame_equal(found.stages[list(null.stages)], null.stages)
     stream = LogStream(tmp_path / "lacking", missing=filling, trajectories_at_once=10**6)
-    with pytest.warns(HalfseenWarning, match=told):
+    with pytest.warns(HalfseenWarning, match=message):
         (part,) = stream
     assert stream.stage_covariates == part.stage_covariates == found.stage_covariates
 
@@ -228,7 +228,7 @@ def test_a_state_may_lack_what_is_looked_at_and_nothing_else_is_added():
 
 
 @pytest.mark.parametrize(
-    ("missing", "columns", "kind", "told"),
+    ("missing", "columns", "kind", "message"),
     [
         (
             None,
@@ -256,8 +256,8 @@ def test_a_state_may_lack_what_is_looked_at_and_nothing_else_is_added():
         ),
     ],
 )
-def test_what_cannot_be_filled_in_is_refused_in_one_line(missing, columns, kind, told):
-    with refused(told, kind):
+def test_what_cannot_be_filled_in_is_refused_in_one_line(missing, columns, kind, message):
+    with refused(message, kind):
         log(missing, **columns)
 
 

@@ -1,4 +1,4 @@
-"""What a footer says of columns: as the library that wrote it says, and whatever stands there it is told or refused."""
+"""What a footer says of columns: as the library that wrote it says; anything else is reported or refused."""
 
 import json
 import shutil
@@ -28,15 +28,15 @@ def file(tmp_path_factory):
 def test_chunks_are_those_that_the_library_tells_of(tmp_path, version, num_rows):
     nested = TABLE.append_column("of", pa.array([{"a": 1, "b": [{"c": "x"}]}] * 60)).slice(0, num_rows)
     pq.write_table(nested, tmp_path / "t.parquet", row_group_size=7, version=version, compression="zstd")
-    told = pq.ParquetFile(tmp_path / "t.parquet").metadata
-    groups = [told.row_group(k) for k in range(told.num_row_groups)]
-    chunks = [[group.column(k) for k in range(told.num_columns)] for group in groups]
+    result = pq.ParquetFile(tmp_path / "t.parquet").metadata
+    groups = [result.row_group(k) for k in range(result.num_row_groups)]
+    chunks = [[group.column(k) for k in range(result.num_columns)] for group in groups]
     wanted = [[(chunk.num_values, chunk.total_uncompressed_size) for chunk in group] for group in chunks]
     assert chunks_of(tmp_path / "t.parquet") == wanted
 
 
 @given(st.data())
-def test_a_broken_footer_is_told_of_or_refused(file, tmp_path_factory, data):
+def test_a_broken_footer_is_reported_of_or_refused(file, tmp_path_factory, data):
     content = bytearray(file.read_bytes())
     num_bytes = int.from_bytes(content[-8:-4], "little")
     for _ in range(data.draw(st.integers(1, 4))):

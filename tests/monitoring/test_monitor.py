@@ -97,7 +97,7 @@ def test_a_part_that_broke_is_named_and_since_when(stored):
     assert not any("swapped" in each for each in found.causes)
 
 
-def test_of_a_change_the_name_in_the_log_is_told_where_it_is_not_its_number(stored):
+def test_of_a_change_the_name_in_the_log_is_reported_where_it_is_not_its_number(stored):
     logs = cell(200, 1, policy=stored.policy, swaps=True)
     tables = (each.assign(trajectory=each["trajectory"] + 701) for each in (logs.stages, logs.trajectories))
     found = monitored(stored, Logs(*tables))
@@ -125,7 +125,7 @@ def test_no_change_lies_after_its_alarm(stored):
     assert all(1 <= each.since_low <= each.since <= each.since_high <= each.alarm_at for each in found)
 
 
-def test_a_clock_in_milliseconds_is_told_from_a_slow_cell(stored):
+def test_a_clock_in_milliseconds_is_reported_from_a_slow_cell(stored):
     logs = cell(200, 1, policy=stored.policy)
     stages = logs.stages.assign(elapsed_s=logs.stages["elapsed_s"] * 1000.0)
     found = monitored(stored, Logs(stages, logs.trajectories.assign(end_s=logs.trajectories["end_s"] * 1000.0)))
@@ -234,7 +234,7 @@ def test_a_swap_is_asked_of_states_where_it_would_matter(stored):
 
 
 @pytest.mark.parametrize(("seen", "place"), [(-1.0, 0), (0.0, 1), (1.0, 2)])
-def test_a_number_below_all_of_the_log_is_told_from_its_lowest_as_one_above_is_from_its_highest(seen, place):
+def test_a_number_below_all_of_the_log_is_reported_from_its_lowest_as_one_above_is_from_its_highest(seen, place):
     logs = cell(100, 0)
     promised = promised_states(Logs(logs.stages.assign(z=0.0), logs.trajectories), ["z"])
     [found] = input_streams(promised, Logs(logs.stages.assign(z=seen), logs.trajectories))
@@ -377,8 +377,8 @@ def test_a_log_of_which_it_knows_no_action_is_refused(stored):
 def test_rewards_in_another_unit_are_no_swapped_columns(stored):
     logs = cell(400, 7, policy=stored.policy, are_alike=True)
     found = monitored(stored, Logs(logs.stages.assign(reward=100.0 * logs.stages["reward"]), logs.trajectories))
-    told = "rewards are as if in another unit: a trajectory brings about 100, but at most 1 in the log"
-    assert found.causes[0] == told
+    message = "rewards are as if in another unit: a trajectory brings about 100, but at most 1 in the log"
+    assert found.causes[0] == message
     assert not any("swapped" in each for each in (found.sentence, *found.causes))
     assert any(each.startswith("Fix the recording") for each in lines(found))
 
@@ -393,8 +393,8 @@ def test_of_covariates_in_another_unit_nothing_else_is_blamed(stored):
 def test_after_a_change_no_bounds_are_given_of_one_mean(stored):
     broken = monitored(stored, cell(600, 2, (0.9, 0.2), stored.policy))
     assert broken.findings
-    told = broken.as_dict()["earned"]
-    assert (told["low"], told["high"], told["since"]) == (None, None, broken.earned["since"])
+    result = broken.as_dict()["earned"]
+    assert (result["low"], result["high"], result["since"]) == (None, None, broken.earned["since"])
     assert "an action brings" in " ".join(each.words for each in broken.findings)
 
 
@@ -601,7 +601,7 @@ def test_where_nothing_is_lost_none_are_needed_and_where_nothing_is_known_the_fe
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         (
             (80, 301, 100, 0.8),
@@ -612,7 +612,7 @@ def test_where_nothing_is_lost_none_are_needed_and_where_nothing_is_known_the_fe
         ((200, 301, 100, 1.0), "Learning again may pay"),
     ],
 )
-def test_it_is_told_in_one_sentence(given, told):
+def test_it_is_reported_in_one_sentence(given, message):
     sentence = relearning(*given)
-    assert sentence.startswith(told)
+    assert sentence.startswith(message)
     assert ("serve with --explore first" in sentence) == (given[-1] == 1.0)

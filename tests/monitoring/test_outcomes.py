@@ -155,7 +155,7 @@ def test_what_lies_outside_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("asks", "told"),
+    ("asks", "message"),
     [
         (lambda: BettingBounds("0", 1.0), "low is '0' and high 1.0; give two finite numbers"),
         (lambda: BettingBounds(0.0, 1.0, "5 %"), "alpha is '5 %'; give a number between 0 and 1"),
@@ -171,8 +171,8 @@ def test_what_lies_outside_is_refused():
         (lambda: changes_in("logs"), "logs is a str; give Logs, as read_logs returns"),
     ],
 )
-def test_what_is_no_number_no_policy_and_no_log_is_refused_in_a_line(asks, told):
-    with refused_type(told):
+def test_what_is_no_number_no_policy_and_no_log_is_refused_in_a_line(asks, message):
+    with refused_type(message):
         asks()
 
 

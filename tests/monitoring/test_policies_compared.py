@@ -48,7 +48,7 @@ def drawn(num, rng, chance=0.5, gain=0.0, cut=0.0, noise=1.0, num_stages=3):
 
 
 @pytest.mark.parametrize(
-    ("asks", "told"),
+    ("asks", "message"),
     [
         (lambda dealt: Terms(share=0.9), r"share is 0\.9; give a probability above 0 and at most 0\.5"),
         (lambda dealt: Terms(most_loss=-1.0), r"most_loss is -1\.0; give a total reward above 0"),
@@ -57,8 +57,8 @@ def drawn(num, rng, chance=0.5, gain=0.0, cut=0.0, noise=1.0, num_stages=3):
         (lambda dealt: dealt._replace(chance=dealt.chance + 1.0), "chance: a trajectory was dealt with no probability"),
     ],
 )
-def test_what_cannot_be_compared_is_refused(asks, told):
-    with pytest.raises(ArgumentError, match=told):
+def test_what_cannot_be_compared_is_refused(asks, message):
+    with pytest.raises(ArgumentError, match=message):
         standing(asks(drawn(20, np.random.default_rng(1))), Terms())
 
 

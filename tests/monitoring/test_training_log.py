@@ -63,7 +63,7 @@ def test_the_part_that_changed_is_named_and_since_when(policy, broken, words):
     assert first.p_value <= ALPHA
 
 
-def test_nothing_is_told_of_one_cell_whoever_decides(policy):
+def test_nothing_is_reported_of_one_cell_whoever_decides(policy):
     assert changes_in(cell(), policy) == []
     early, late = cell(num=120, seed=1, tends=0.2), cell(num=120, seed=2, tends=0.9)
     tables = [
@@ -104,20 +104,20 @@ def test_of_tables_verbs_and_cuts_are_watched_and_few_trajectories_tell_nothing(
 
 
 @pytest.mark.slow
-def test_at_most_one_in_twenty_unchanged_logs_is_told_of(policy):
+def test_at_most_one_in_twenty_unchanged_logs_is_reported_of(policy):
     num = 300
     share = np.mean([bool(changes_in(cell(num=120, seed=seed), policy, seed)) for seed in range(10, 10 + num)])
     assert share <= 0.05
 
 
 @pytest.mark.parametrize(("at", "since"), [(9, FEWEST), (231, 240 - FEWEST)])
-def test_a_change_near_an_end_is_told_where_some_are_left_on_both_sides(policy, at, since):
+def test_a_change_near_an_end_is_reported_where_some_are_left_on_both_sides(policy, at, since):
     logs = cell()
     is_few = (logs.stages["trajectory"] < at) == (at < 120)
     stages = logs.stages.assign(x=np.where(is_few, 40.0, logs.stages["x"]))
-    told = [each for each in changes_in(Logs(stages, logs.trajectories), policy) if each.words.startswith("x in")]
-    assert told[0].since == since
-    assert told[0].since_low <= since <= told[0].since_high
+    result = [each for each in changes_in(Logs(stages, logs.trajectories), policy) if each.words.startswith("x in")]
+    assert result[0].since == since
+    assert result[0].since_low <= since <= result[0].since_high
 
 
 def test_a_clock_whose_ticks_were_added_up_tells_of_cuts_what_whole_ticks_tell():

@@ -216,9 +216,11 @@ def test_the_largest_of_16_bits_is_no_return(kind):
 def test_a_matrix_of_another_resolution_is_warned_of(tmp_path):
     """Every other pixel with the matrix of all of them makes cups of half their size; a cut-out image has its own."""
     drawn = draw(Can(0.0, 0.0))
-    told = r"table.npz: the centre of K is \(159.5, 119.5\) px, as of an image of 240 rows by 320, but depth_m has 120"
+    message = (
+        r"table.npz: the centre of K is \(159.5, 119.5\) px, as of an image of 240 rows by 320, but depth_m has 120"
+    )
     for step, cut in ((1, np.s_[40:, 60:300]), (2, np.s_[:, :])):
         matrix = K - np.array([[0.0, 0.0, 60.0], [0.0, 0.0, 40.0], [0.0, 0.0, 0.0]]) if step == 1 else K
         np.savez(tmp_path / "table.npz", depth_m=drawn.depth_m[::step, ::step][cut], K=matrix)
-        with nullcontext() if step == 1 else pytest.warns(HalfseenWarning, match=told):
+        with nullcontext() if step == 1 else pytest.warns(HalfseenWarning, match=message):
             assert read_cloud(tmp_path / "table.npz").num_returns

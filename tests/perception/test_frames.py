@@ -151,8 +151,8 @@ def test_a_doubt_is_refused_unless_a_comment_says_which_frame_it_is(loose, tmp_p
     scattered = loose + rng.normal(0.0, 0.003, loose.shape)
     aside = pose_of([0.1, 0.0, -0.3], Rotation.from_rotvec([0.0, 0.2, 0.0]))
     around = rng.normal(0.0, 1.0, loose.shape)
-    for points, told in ((scattered, "may be in either frame"), (around, "may be in neither frame")):
-        with refused(f"{told}.*points_frame camera, or points_frame viewpoint", CloudError):
+    for points, message in ((scattered, "may be in either frame"), (around, "may be in neither frame")):
+        with refused(f"{message}.*points_frame camera, or points_frame viewpoint", CloudError):
             write(tmp_path / "a.pcd", points, None, aside)
         for frame, eye_m in (("camera", [0, 0, 0]), ("viewpoint", aside[:3])):
             found = write(tmp_path / "a.pcd", points, None, aside, f"# points_frame {frame}")

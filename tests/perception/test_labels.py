@@ -79,15 +79,15 @@ def num_painted(table, ideal, seen_object, cup, discs) -> int:
 
 @pytest.mark.parametrize("glaze", SURFACES.glazes)
 @pytest.mark.parametrize("stain", SURFACES.stain_colours)
-def test_stains_are_told_from_every_glaze_in_light_and_shade(glaze, stain):
+def test_stains_are_reported_from_every_glaze_in_light_and_shade(glaze, stain):
     rng = np.random.default_rng(0)
     light = rng.uniform(0.6, 1.0, size=(2000, 1))
     is_stained = np.arange(2000) < 100
     colours = np.where(is_stained[:, None], stain, glaze) * light + rng.normal(0, 4.0, (2000, 3))
-    told = StainCounter().is_stained(np.clip(np.rint(colours), 0, 255).astype(np.uint8))
+    result = StainCounter().is_stained(np.clip(np.rint(colours), 0, 255).astype(np.uint8))
     # Cocoa is no darker than a red glaze: in the light, half of it is not seen.
-    assert told[is_stained].mean() > (0.4 if (glaze, stain) == ((175, 60, 55), (124, 84, 44)) else 0.8)
-    assert told[~is_stained].sum() <= 2
+    assert result[is_stained].mean() > (0.4 if (glaze, stain) == ((175, 60, 55), (124, 84, 44)) else 0.8)
+    assert result[~is_stained].sum() <= 2
 
 
 @pytest.mark.slow
@@ -185,41 +185,44 @@ def test_sensitivity_and_false_alarms_on_random_tables(capsys):
             for cup, k in matched(view, picture.truth):
                 painted = num_painted(table, ideal, view.objects[k], cup, (*surfaces[cup].stains, *surfaces[cup].spots))
                 rows.append((view.objects[k].occlusion, surfaces[cup].is_dirty, labels[k].is_dirty, painted >= 12))
-    occlusion, is_dirty, told, by_geometry = np.array(rows, dtype=float).T
-    is_dirty, told, by_geometry = is_dirty == 1, told == 1, by_geometry == 1
+    occlusion, is_dirty, result, by_geometry = np.array(rows, dtype=float).T
+    is_dirty, result, by_geometry = is_dirty == 1, result == 1, by_geometry == 1
     with capsys.disabled():
         print("\nocclusion    cups  sensitivity  specificity  right  right by the assumed law")
         for low, high in ((0, 0.05), (0.05, 0.3), (0.3, 0.6), (0.6, 1.0)):
             among = (occlusion >= low) & (occlusion < high)
             print(
-                f"{low:.2f}-{high:.2f}  {among.sum():7d}  {told[among & is_dirty].mean():11.2f}  "
-                f"{1 - told[among & ~is_dirty].mean():11.2f}  {(told == is_dirty)[among].mean():5.2f}  "
+                f"{low:.2f}-{high:.2f}  {among.sum():7d}  {result[among & is_dirty].mean():11.2f}  "
+                f"{1 - result[among & ~is_dirty].mean():11.2f}  {(result == is_dirty)[among].mean():5.2f}  "
                 f"{LAW.accuracy(occlusion[among]).mean():.2f}"
             )
-        print(f"as many stained pixels as geometry has: {(told == by_geometry).mean():.3f} of {len(told)} labels agree")
-    assert (told == by_geometry).mean() > 0.95
+        print(
+            f"as many stained pixels as geometry has: {(result == by_geometry).mean():.3f} of {len(result)} labels "
+            "agree"
+        )
+    assert (result == by_geometry).mean() > 0.95
     in_view = occlusion < 0.05
-    assert 0.4 < told[in_view & is_dirty].mean() < 0.75
-    assert 0.0 < told[~is_dirty].mean() < 0.15
-    assert told[is_dirty & (occlusion > 0.3)].mean() < told[is_dirty & in_view].mean()
+    assert 0.4 < result[in_view & is_dirty].mean() < 0.75
+    assert 0.0 < result[~is_dirty].mean() < 0.15
+    assert result[is_dirty & (occlusion > 0.3)].mean() < result[is_dirty & in_view].mean()
 
 
 @pytest.mark.slow
 def test_the_share_in_view_is_what_geometry_has_in_the_mean(capsys):
-    true, told = [], []
+    true, result = [], []
     for seed in FRESH_SEEDS:
         table, ideal, picture, view = fresh(seed)
         labels = StainCounter()(view, picture.cloud)
         for cup, k in matched(view, picture.truth):
             true.append(share_of_walls(table, ideal, cup))
-            told.append(labels[k].share_in_view)
-    error = np.subtract(told, true)
+            result.append(labels[k].share_in_view)
+    error = np.subtract(result, true)
     mean, absolute = error.mean(), abs(error).mean()
     with capsys.disabled():
         print(f"\nshare in view of {len(error)} cups: mean error {mean:+.3f}, absolute {absolute:.3f}")
     assert abs(mean) < 0.02
     assert absolute < 0.06
-    assert np.corrcoef(told, true)[0, 1] > 0.8
+    assert np.corrcoef(result, true)[0, 1] > 0.8
 
 
 def share_of_walls(table, ideal, index) -> float:
@@ -242,12 +245,12 @@ def share_of_walls(table, ideal, index) -> float:
 
 
 def test_a_stain_on_the_far_side_is_not_seen(table, labelled):
-    told = []
+    result = []
     for angle_rad in (-np.pi, -np.pi / 2, 0.0, np.pi / 2):
         discs = [Stain(angle_rad, 0.5 * cup.height_m, 0.012, False, (98, 62, 30)) for cup in table.cups]
         walls = [Surface(cup, (238, 236, 230), (disc,)) for cup, disc in zip(table.cups, discs, strict=True)]
-        told.append([label.is_dirty for label in labelled(walls)])
-    share = np.mean(told, axis=0)
+        result.append([label.is_dirty for label in labelled(walls)])
+    share = np.mean(result, axis=0)
     assert ((share > 0) & (share < 1)).all()
 
 

@@ -161,14 +161,14 @@ def test_a_single_pixel_far_off_changes_no_object_and_asks_for_no_memory():
 
 def test_distances_that_no_camera_measures_and_a_pinhole_that_is_none_are_refused():
     cloud = read_cloud(table_paths()[0])
-    for points, told in (
+    for points, message in (
         (cloud.points_m * 1000, "divide millimetres by 1000"),
         (cloud.points_m + np.array([4e5, 5.5e6, 100.0]), "subtract the origin of its map"),
         (far(1e5, cloud.points_m), r"a point is 1e\+05 m from the camera"),
         (cloud.points_m * 1e300, "divide millimetres"),
     ):
         for shape in (cloud.shape, None):
-            with pytest.raises(CloudError, match=told):
+            with pytest.raises(CloudError, match=message):
                 Cloud(points, shape)
     for focal_px in (1e-9, 1e12):
         with pytest.raises(CloudError, match="they are pixels, from 1 to 1e"):
@@ -181,12 +181,12 @@ def test_distances_that_no_camera_measures_and_a_pinhole_that_is_none_are_refuse
 
 
 @pytest.mark.parametrize(
-    ("bound", "told"),
+    ("bound", "message"),
     [("MOST_JOINT_FITS", "too many of which may belong together"), ("MOST_PIECES", "a table of objects into")],
 )
-def test_what_falls_into_too_many_pieces_is_refused_and_not_fitted_for_minutes(monkeypatch, bound, told):
+def test_what_falls_into_too_many_pieces_is_refused_and_not_fitted_for_minutes(monkeypatch, bound, message):
     monkeypatch.setattr(f"halfseen.perception.grouping.{bound}", 0)
-    with pytest.raises(CloudError, match=told):
+    with pytest.raises(CloudError, match=message):
         perceive(read_cloud(table_paths()[4]))
 
 

@@ -36,8 +36,8 @@ def test_a_lone_object_is_one_clutter_is_counted_to_within_one_and_what_is_no_cu
     if name in ALONE:
         assert len(view.objects) == 1
         assert view.objects[0].occlusion < 0.02
-    told = other_things_in_words(view)
-    assert told == "" if index[name]["cups"] else told or name not in OTHER_THINGS
+    result = other_things_in_words(view)
+    assert result == "" if index[name]["cups"] else result or name not in OTHER_THINGS
 
 
 @pytest.mark.parametrize("name", CLUTTERED)

@@ -80,73 +80,73 @@ class NaiveMyopic:
         """Weights of the nodes once the robot that decides has tried."""
         return self.posterior(i, (self.me, i, self.occluded(i), held))
 
-    def crew(self, with_me):
+    def team(self, with_me):
         return [r for r in range(2) if (with_me if r == self.me else not self.gone[r])]
 
     def left(self, robot):
         return self.to_go[robot] - (robot == self.me)
 
-    def try_of(self, crew, i, seen_at, chance_of):
+    def try_of(self, team, i, seen_at, chance_of):
         """(gain, probability that it is worth it) of one more try, by whom it is worth the most."""
         right = 0.5 + 0.3 * (1.0 - seen_at) ** 1.5
         found = []
-        for robot in crew:
+        for robot in team:
             if not self.reach[robot][i] or self.left(robot) <= 0:
                 continue
             gain = number = 0.0
             for says_dirty in (True, False):
                 if_dirty, if_clean = (right, 1.0 - right) if says_dirty else (1.0 - right, right)
-                told = self.dirty[i] * if_dirty + (1.0 - self.dirty[i]) * if_clean
-                dirty = self.dirty[i] * if_dirty / told
+                result = self.dirty[i] * if_dirty + (1.0 - self.dirty[i]) * if_clean
+                dirty = self.dirty[i] * if_dirty / result
                 held = chance_of(robot)
                 worth = held * (dirty * 10.0 - (1.0 - dirty) * 10.0) - (1.0 - held)
-                worth -= self.price / len(crew) * self.seconds(robot, i)
-                gain, number = gain + told * max(worth, 0.0), number + (told if worth > 0.0 else 0.0)
+                worth -= self.price / len(team) * self.seconds(robot, i)
+                gain, number = gain + result * max(worth, 0.0), number + (result if worth > 0.0 else 0.0)
             found.append((gain, number))
         return max(found, key=lambda each: each[0]) if found else (0.0, 0.0)
 
-    def value(self, crew, tries):
+    def value(self, team, tries):
         gain, number = (sum(each[k] for each in tries) for k in (0, 1))
-        decisions = sum(self.left(r) for r in crew)
+        decisions = sum(self.left(r) for r in team)
         return min(1.0, decisions / max(number, 1.0)) * gain
 
     def wanted(self):
         return [i for i in range(self.num) if self.there[i] and i not in self.washed]
 
-    def now(self, crew, i, weights=None):
+    def now(self, team, i, weights=None):
         occluded = self.occluded(i)
-        return self.try_of(crew, i, occluded, lambda r: self.chance(r, i, occluded, weights))
+        return self.try_of(team, i, occluded, lambda r: self.chance(r, i, occluded, weights))
 
     def finish(self):
-        crew = self.crew(False)
-        return self.value(crew, [self.now(crew, i) for i in self.wanted()]) if crew else 0.0
+        team = self.team(False)
+        return self.value(team, [self.now(team, i) for i in self.wanted()]) if team else 0.0
 
     def wait(self):
-        crew, left_s = self.crew(True), []
+        team, left_s = self.team(True), []
         for robot, (_, target, since_s) in self.busy.items():
             expected_s = self.seconds(robot, target)
             left_s.append(max(expected_s - since_s, 0.3 * expected_s))
-        return self.value(crew, [self.now(crew, i) for i in self.wanted()]) - self.price / len(crew) * min(left_s)
+        return self.value(team, [self.now(team, i) for i in self.wanted()]) - self.price / len(team) * min(left_s)
 
     def attempt(self, verb, i):
-        crew, wanted = self.crew(True), self.wanted()
+        team, wanted = self.team(True), self.wanted()
         held, own_s = self.chance(self.me, i, self.occluded(i)), self.seconds(self.me, i)
-        missed = self.value(crew, [self.now(crew, j, self.after(j, False) if j == i else None) for j in wanted])
+        missed = self.value(team, [self.now(team, j, self.after(j, False) if j == i else None) for j in wanted])
         if_held = []
         for j in wanted:
             if j != i:
                 cleared = self.occluded(j, without=i)
                 at = cleared if verb == "WASH" else self.occluded(j)
-                if_held.append(self.try_of(crew, j, cleared, lambda r, j=j, at=at: self.chance(r, j, at)))
+                if_held.append(self.try_of(team, j, cleared, lambda r, j=j, at=at: self.chance(r, j, at)))
             elif verb == "LIFT":
                 again = self.after(i, True)
                 if_held.append(
-                    self.try_of(crew, i, 0.0, lambda r, again=again: self.chance(r, i, self.occluded(i), again))
+                    self.try_of(team, i, 0.0, lambda r, again=again: self.chance(r, i, self.occluded(i), again))
                 )
         pays = self.dirty[i] * 10.0 - (1.0 - self.dirty[i]) * 10.0
         now = held * pays - (1.0 - held) if verb == "WASH" else -0.1 * own_s
-        after = held * self.value(crew, if_held) + (1.0 - held) * missed
-        return now + after - self.price / len(crew) * own_s
+        after = held * self.value(team, if_held) + (1.0 - held) * missed
+        return now + after - self.price / len(team) * own_s
 
 
 def odds_to_share(log_odds):

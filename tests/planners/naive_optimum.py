@@ -85,17 +85,17 @@ class BruteForce:
         says, seen = self._look(there, held, seen)
         total = 0.0
         for labels in product([False, True], repeat=len(there)):
-            told = dict(zip(sorted(there), labels, strict=True))
-            left = mass * np.prod([says[i] if label else 1 - says[i] for i, label in told.items()], axis=0)
+            of_labels = dict(zip(sorted(there), labels, strict=True))
+            left = mass * np.prod([says[i] if label else 1 - says[i] for i, label in of_labels.items()], axis=0)
             if left.any():
-                total += self._best(left, there, attempts, seen, told, steps)
+                total += self._best(left, there, attempts, seen, of_labels, steps)
         return total
 
-    def _best(self, mass, there, attempts, seen, told, steps):
+    def _best(self, mass, there, attempts, seen, result, steps):
         if steps == 0 or not there:
             return self._left(mass, there)
         if self.choose is not None:
-            is_found = [self.persists and told.get(i, False) for i in range(self.num_cups)]
+            is_found = [self.persists and result.get(i, False) for i in range(self.num_cups)]
             counted = np.where(is_found, 1.0, seen)
             action = self.choose(mass @ self.dirty / mass.sum(), counted, there, attempts, steps)
             return self._q(action, mass, there, attempts, seen, steps)

@@ -1,4 +1,4 @@
-"""Planning one step ahead as it is told, in plain Python: every outcome in turn, one cup after the other."""
+"""Planning one step ahead by its definition, in plain Python: every outcome in turn, one cup after the other."""
 
 from dataclasses import dataclass, replace
 from itertools import product
@@ -108,8 +108,8 @@ def successors(cups, hides, verb, target):
             reward = -0.1 * attempt_s(cup, occluded)
         else:
             reward = 5 * cup.is_dirty - 10 * (1 - cup.is_dirty) if is_grasped else -1.0
-        for of_labels, told in after_labels(after, seen_at):
-            yield of_grasp * of_labels, reward, told
+        for of_labels, result in after_labels(after, seen_at):
+            yield of_grasp * of_labels, reward, result
 
 
 def q_values(cups, hides, steps_to_go, depth):

@@ -285,7 +285,7 @@ def test_who_knows_that_a_grasp_will_fail_lifts_to_wait_where_that_is_free():
 
 
 def test_with_one_label_that_is_all_there_is_and_a_sure_grasp_the_bound_by_looks_is_the_optimum():
-    """In full view, with one step, the look that is told is the look that is taken."""
+    """In full view, with one step, the look that is named is the look that is taken."""
     config, table = WorldConfig(grasping=AssumedGrasping(offset_std=0.0)), np.zeros((2, 2))
 
     bound = information_relaxation_bound(table, config, 1, num_grip_nodes=1)

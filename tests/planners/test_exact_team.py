@@ -120,7 +120,7 @@ def test_the_value_of_a_policy_is_what_it_earns():
 
 
 @pytest.mark.parametrize(
-    ("config", "told"),
+    ("config", "message"),
     [
         (team_of(1, grasping=AssumedGrasping()), "AssumedGrasping, whose attempts may take any time"),
         (team_of(2), "have more than 100 states .*shorten the horizon"),
@@ -128,21 +128,21 @@ def test_the_value_of_a_policy_is_what_it_earns():
         (team_of(1, grasping=GraspingByRobot((GridGrasping(), GridGrasping()))), "has its own law of grasping"),
     ],
 )
-def test_what_cannot_be_solved_is_refused(config, told):
-    with pytest.raises(ArgumentError, match=told):
+def test_what_cannot_be_solved_is_refused(config, message):
+    with pytest.raises(ArgumentError, match=message):
         solve_team(TWO, config, workspace(2, 2), max_states=100)
 
 
 @pytest.mark.parametrize(
-    ("numbers", "told"),
+    ("numbers", "message"),
     [
         ({"held_share": (0.5, 0.6)}, "held_share is"),
         ({"held_s": (2.0, 7.0)}, "held_s is"),
         ({"held_s": (2.0,)}, "one share"),
     ],
 )
-def test_a_grid_that_is_none_is_refused(numbers, told):
-    with pytest.raises(ArgumentError, match=told):
+def test_a_grid_that_is_none_is_refused(numbers, message):
+    with pytest.raises(ArgumentError, match=message):
         GridGrasping(**numbers)
 
 
@@ -170,7 +170,7 @@ class BruteForceTeam:
                 mass[key] = prior * np.prod([weight for _, weight in offsets])
         there = frozenset(range(self.num))
         robots = tuple((self.config.horizon, "FREE", 0, 0.0) for _ in range(self.num_robots))
-        return sum(self._best(told, there, robots) for told in self._looked(mass, there, frozenset()))
+        return sum(self._best(result, there, robots) for result in self._looked(mass, there, frozenset()))
 
     def occlusion(self, there, i):
         return 1 - np.prod([1 - self.hides[i][j] for j in there])
@@ -238,10 +238,10 @@ class BruteForceTeam:
             return self._left(mass, there)
         if any(verb == "FREE" and to_go > 0 for to_go, verb, _, _ in robots):
             return self._best(mass, there, robots)
-        told = defaultdict(dict)
+        result = defaultdict(dict)
         for key, m in mass.items():
-            told[self._observed(key, robots)][key] = m
-        return sum(self._event(part, there, robots, *seen) for seen, part in told.items())
+            result[self._observed(key, robots)][key] = m
+        return sum(self._event(part, there, robots, *seen) for seen, part in result.items())
 
     def _observed(self, key, robots):
         """Who ends first, when and how; and what the others hold in the air then."""

@@ -41,32 +41,32 @@ def test_what_is_sure_is_said_to_be_so():
 
 
 def test_cups_that_nothing_tells_apart_are_equally_good_and_one_of_them_is_best():
-    told = explain_few([Cup(0.999), Cup(0.999), Cup(0.1)], np.zeros((3, 3)), 6)
+    result = explain_few([Cup(0.999), Cup(0.999), Cup(0.1)], np.zeros((3, 3)), 6)
 
-    np.testing.assert_array_equal(told.values[[1, 4]], told.values[[2, 5]])
-    assert told.probability_best[1] == told.probability_best[2] > 0.5
-    assert told.probability_best[3] == 0.0
+    np.testing.assert_array_equal(result.values[[1, 4]], result.values[[2, 5]])
+    assert result.probability_best[1] == result.probability_best[2] > 0.5
+    assert result.probability_best[3] == 0.0
 
 
 def test_new_numbers_for_the_cups_change_their_order_and_little_else():
     order = np.array([2, 0, 1])
-    told = explain_few(CUPS, THREE, 6)
+    result = explain_few(CUPS, THREE, 6)
     # Attempts keep their cups, which have new numbers.
     other = explain_few([CUPS[i] for i in order], THREE[np.ix_(order, order)], 6)
 
     actions = np.concatenate([[0], 1 + order, 4 + order])
-    np.testing.assert_allclose(other.values, told.values[actions], atol=0.4)
-    np.testing.assert_allclose(other.probability_best, told.probability_best[actions], atol=0.35)
-    np.testing.assert_allclose(other.lift_worth, told.lift_worth[order], atol=0.4)
+    np.testing.assert_allclose(other.values, result.values[actions], atol=0.4)
+    np.testing.assert_allclose(other.probability_best, result.probability_best[actions], atol=0.35)
+    np.testing.assert_allclose(other.lift_worth, result.lift_worth[order], atol=0.4)
 
 
 def test_what_is_washed_and_what_is_padding_changes_nothing_and_is_impossible():
     gone = [Cup(0.9, ((0.6, False),)), Cup(0.6, ((0.1, True),), is_on_table=False)]
-    told = explain_few(gone, THREE[:2, :2], 5)
+    result = explain_few(gone, THREE[:2, :2], 5)
 
-    np.testing.assert_array_equal(np.isfinite(told.values), [True, True, False, False, True, False, False])
-    np.testing.assert_array_equal(told.probability_best[~np.isfinite(told.values)], 0.0)
-    np.testing.assert_array_equal(np.isfinite(told.lift_worth), [True, False, False])
+    np.testing.assert_array_equal(np.isfinite(result.values), [True, True, False, False, True, False, False])
+    np.testing.assert_array_equal(result.probability_best[~np.isfinite(result.values)], 0.0)
+    np.testing.assert_array_equal(np.isfinite(result.lift_worth), [True, False, False])
 
 
 def test_the_same_key_tells_the_same():
@@ -164,11 +164,11 @@ def test_what_is_said_to_be_likely_best_is_so_as_often_against_the_exact_optimum
         played = play(config, pad_scenes([scene]), policy, random.key_of(table), 24)
         for i, t in rng.permutation(np.argwhere(np.asarray(played.is_taken)))[:24]:
             state = picked(played.states, (i, t))
-            told, truth = explain(config, state, random.key_of(len(said))), optimum.q_values(state)
+            result, truth = explain(config, state, random.key_of(len(said))), optimum.q_values(state)
             possible = np.isfinite(truth)
-            said += told.probability_best[possible].tolist()
+            said += result.probability_best[possible].tolist()
             was += (truth >= truth.max() - 1e-9)[possible].tolist()
-            holds += ((told.low <= truth) & (truth <= told.high))[possible][1:].tolist()
+            holds += ((result.low <= truth) & (truth <= result.high))[possible][1:].tolist()
     said, was = np.array(said), np.array(was)
 
     for low, high in ((0.0, 0.05), (0.05, 0.5), (0.5, 0.95), (0.95, 1.01)):

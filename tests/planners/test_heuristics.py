@@ -58,7 +58,7 @@ def _worth(policy, cups, hides, i):
 
 @record
 class Fixed:
-    """A grasp model that says what it was told."""
+    """A grasp model that says what it was given."""
 
     probabilities: np.ndarray
 

@@ -54,10 +54,10 @@ def test_where_each_has_the_law_of_the_world_all_is_as_without(policy_of):
 
 def naive_of(state, config, price=0.0):
     """The same table and team for `NaiveMyopic`."""
-    table, crew, me = state, state.robots, int(state.decider)
+    table, robots, me = state, state.robots, int(state.decider)
     verbs = {int(Verb.WASH): "WASH", int(Verb.LIFT): "LIFT"}
     others = [r for r in range(2) if r != me]
-    is_leaving = [bool(crew.is_busy[r]) and int(crew.verb[r]) == Verb.FINISH for r in range(2)]
+    is_leaving = [bool(robots.is_busy[r]) and int(robots.verb[r]) == Verb.FINISH for r in range(2)]
     return NaiveMyopic(
         laws=NAIVE_LAWS,
         stds=[1.0, 1.5],
@@ -73,10 +73,10 @@ def naive_of(state, config, price=0.0):
         ],
         reach=np.asarray(state.workspace.is_in_reach),
         me=me,
-        busy={r: (verbs[int(crew.verb[r])], int(crew.target[r]), float(crew.since_s[r]))
-              for r in others if bool(crew.is_busy[r]) and int(crew.verb[r]) in verbs},
-        to_go=np.asarray(crew.decisions_to_go).tolist(),
-        gone=[bool(crew.is_done[r]) or is_leaving[r] for r in range(2)],
+        busy={r: (verbs[int(robots.verb[r])], int(robots.target[r]), float(robots.since_s[r]))
+              for r in others if bool(robots.is_busy[r]) and int(robots.verb[r]) in verbs},
+        to_go=np.asarray(robots.decisions_to_go).tolist(),
+        gone=[bool(robots.is_done[r]) or is_leaving[r] for r in range(2)],
     )  # fmt: skip
 
 
@@ -205,7 +205,7 @@ def test_what_another_is_at_ends_as_its_own_law_says():
     np.testing.assert_allclose(other, 1.5 * one, rtol=1e-5, atol=1e-6)
 
 
-def test_a_law_that_can_only_be_drawn_from_is_told():
+def test_a_law_that_can_only_be_drawn_from_is_reported():
     world = world_of(None, Nudging())
     state, _ = start(world.played_config, first_layout(world), KEY)
     with pytest.raises(ArgumentError, match="grasping of the config is Nudging, which can be sampled but"):

@@ -91,16 +91,16 @@ def test_the_tables_of_a_batch_do_not_know_of_each_other(policy, states, keys):
 def test_a_policy_that_says_how_likely_its_choice_was_is_right(states):
     one = picked(states, 0)
     same = repeated(one, len(states.steps_to_go))
-    actions, told = [], {}
+    actions, result = [], {}
     for seed in range(40):
         keys = random.keys_of(random.key_of(seed), len(states.steps_to_go))
         decision = POLICIES["exploring"].decide(same, keys)
         actions.append(decision.action)
-        told |= dict(zip(decision.action.tolist(), decision.probability.tolist(), strict=True))
+        result |= dict(zip(decision.action.tolist(), decision.probability.tolist(), strict=True))
     taken = np.concatenate(actions)
 
-    assert sum(told.values()) == pytest.approx(1.0, abs=1e-5)
-    for action, probability in told.items():
+    assert sum(result.values()) == pytest.approx(1.0, abs=1e-5)
+    for action, probability in result.items():
         assert np.mean(taken == action) == pytest.approx(probability, abs=0.04)
 
 

@@ -40,7 +40,7 @@ LEARNERS = {
 }
 
 
-def told(folder):
+def refusal(folder):
     """The refusal of a folder, which is one line."""
     with pytest.raises(PolicyError) as refused:
         read_policy(folder)

@@ -82,8 +82,8 @@ def test_named_actions_answer_through_the_same_door():
         (lambda: decider_of(FLAT).decide(seen(np.nan)), PolicyError, "the state: covariate 'x' is null; fill it in"),
         (lambda: decider_of(FLAT).decide(seen([0.5, 2.0])), PolicyError, "the state: 2 rows; give a frame of one row"),
         *(
-            (lambda x=x: decider_of(FLAT).decide(NamedObservation({"x": x}, 1)), PolicyError, f"the state: .*{told}")
-            for x, told in ((np.nan, "null"), (np.inf, "finite"), ("0.5", "not numeric"), (None, "null"))
+            (lambda x=x: decider_of(FLAT).decide(NamedObservation({"x": x}, 1)), PolicyError, f"the state: .*{result}")
+            for x, result in ((np.nan, "null"), (np.inf, "finite"), ("0.5", "not numeric"), (None, "null"))
         ),
         (lambda: decider_of(FLAT).decide(NamedObservation({"y": 1.0}, 1)), PolicyError, "but 'x' is missing"),
         (lambda: decider_of(OF_COLOURS).decide(NamedObservation({"x": "green"}, 1)), PolicyError, "'green', which the"),
@@ -96,7 +96,7 @@ def test_what_is_no_policy_or_no_observation_is_refused(ask, error, message):
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"coefficients": FLAT.coefficients[:1]}, "a row for each stage and each of the 2 actions"),
         ({"actions": ("A", "B", "C")}, "a row for each stage and each of the 3 actions"),
@@ -104,8 +104,8 @@ def test_what_is_no_policy_or_no_observation_is_refused(ask, error, message):
         ({"is_possible": FLAT.is_possible & [[True], [False]]}, "a stage has no possible action"),
     ],
 )
-def test_a_policy_of_other_stages_or_of_nan_is_refused(changed, told):
-    with refused_type(told):
+def test_a_policy_of_other_stages_or_of_nan_is_refused(changed, message):
+    with refused_type(message):
         replace(FLAT, **changed)
 
 
@@ -162,8 +162,8 @@ def test_far_more_objects_than_in_the_logs_are_refused_unless_they_are_to_be_ext
         PolicyError, match=r"num_objects is 2, outside the logs \(5 to 6\) by more than the width of this range"
     ):
         decider_of(TABLES["learned"], lambda stage: ranges).decide(NOW)
-    told = decider_of(TABLES["learned"], lambda stage: ranges, extrapolates=True).decide(NOW)
-    assert told.warnings[0] == "num_objects is 2, outside the logs (5 to 6); Q is extrapolated"
+    result = decider_of(TABLES["learned"], lambda stage: ranges, extrapolates=True).decide(NOW)
+    assert result.warnings[0] == "num_objects is 2, outside the logs (5 to 6); Q is extrapolated"
     near = ranges | {"num_objects": (3.0, 4.0)}
     assert decider_of(TABLES["learned"], lambda stage: near).decide(NOW).warnings[0].startswith("num_objects is 2")
 
@@ -194,17 +194,17 @@ NEVER_VARIED = {"x": (4.0, 4.0), "y": (0.0, 0.0)}
     ],
 )
 def test_more_than_a_whole_range_beyond_an_end_is_refused(ranges, values, refused):
-    told = {name: {name: value} for name, value in values.items()}
+    result = {name: {name: value} for name, value in values.items()}
     if refused is None:
-        refuse_far(ranges, told)
+        refuse_far(ranges, result)
         return
     with pytest.raises(PolicyError, match=refused) as refusal:
-        refuse_far(ranges, told)
+        refuse_far(ranges, result)
     assert "--extrapolate" in str(refusal.value)
     assert "\n" not in str(refusal.value)
 
 
-def test_a_stage_that_no_trajectory_came_to_is_told():
+def test_a_stage_that_no_trajectory_came_to_is_reported():
     assert beyond(None, {}) == ("no trajectory of the logs reached this stage; Q is extrapolated",)
 
 
@@ -219,9 +219,9 @@ def test_a_stage_that_no_trajectory_came_to_is_told():
         ((1e-7, 1.0), 0.0, "0, outside the logs (1e-07 to 1)"),
     ],
 )
-def test_ranges_are_compared_without_rounding_and_told_apart(seen, value, says):
-    told = beyond({"x": seen}, {"x": {"x": value}})
-    assert told == (() if says is None else (f"x is {says}; Q is extrapolated",))
+def test_ranges_are_compared_without_rounding_and_distinguished(seen, value, says):
+    result = beyond({"x": seen}, {"x": {"x": value}})
+    assert result == (() if says is None else (f"x is {says}; Q is extrapolated",))
     assert beyond({"x": seen}, {"x": {"x": value}}, 1e-2) == ()
 
 
@@ -283,7 +283,7 @@ SURE = {"log_odds": [0.5, 0.5, 3.0]}
 
 
 @pytest.mark.parametrize(
-    ("changed", "worths", "worst_wash", "told"),
+    ("changed", "worths", "worst_wash", "message"),
     [
         (
             {},
@@ -309,12 +309,12 @@ SURE = {"log_odds": [0.5, 0.5, 3.0]}
         ),
     ],
 )
-def test_a_lift_is_told_by_what_it_would_reveal_and_a_wash_by_how_sure_it_is(changed, worths, worst_wash, told):
-    assert reason(changed, worths, worst_wash=worst_wash) == told
+def test_a_lift_is_reported_by_what_it_would_reveal_and_a_wash_by_how_sure_it_is(changed, worths, worst_wash, message):
+    assert reason(changed, worths, worst_wash=worst_wash) == message
 
 
 @pytest.mark.parametrize(
-    ("changed", "worths", "told"),
+    ("changed", "worths", "message"),
     [
         ({"log_odds": [2.0, PRIOR, 0.0]}, {"LIFT_2": 1.0, "LIFT_1": 0.5}, "62% of object 0 (probably dirty, 0.88)"),
         ({"seen": [0.3, 0.3, 0.4]}, {"LIFT_0": 1.0}, "show its own hidden 62%"),
@@ -329,11 +329,11 @@ def test_a_lift_is_told_by_what_it_would_reveal_and_a_wash_by_how_sure_it_is(cha
         ),
     ],
 )
-def test_what_is_known_is_told_object_by_object(changed, worths, told):
-    assert told in reason(changed, worths)
+def test_what_is_known_is_reported_object_by_object(changed, worths, message):
+    assert message in reason(changed, worths)
 
 
-def test_what_a_wrong_wash_costs_is_told_once_and_where_it_is_known():
+def test_what_a_wrong_wash_costs_is_reported_once_and_where_it_is_known():
     both = reason(SURE, {"WASH_0": 1.5, "WASH_1": 1.0}, worst_wash=-10.0)
     assert both.count("costs up to 10") == 1
     assert "(0.62), and a wrong WASH costs up to 10; as for WASH 1" in both
@@ -359,7 +359,7 @@ ROW, FLAG = {"x1": 0.8, "x2": 3.0}, {"x1": (0.0, 1.0), "x2": (0.0, 1.0)}
 
 
 @pytest.mark.parametrize(
-    ("row", "stage", "ranges", "told"),
+    ("row", "stage", "ranges", "message"),
     [
         (
             ROW,
@@ -382,6 +382,8 @@ ROW, FLAG = {"x1": 0.8, "x2": 3.0}, {"x1": (0.0, 1.0), "x2": (0.0, 1.0)}
         (ROW, 2, None, "C: no other action is possible."),
     ],
 )
-def test_the_covariate_that_speaks_most_for_an_action_is_held_against_the_middle_of_its_range(row, stage, ranges, told):
+def test_the_covariate_that_speaks_most_for_an_action_is_held_against_the_middle_of_its_range(
+    row, stage, ranges, message
+):
     found = flat_reason(POLICY, row, stage, ranges)
-    assert told.removeprefix("... ") in found if told.startswith("...") else told == found
+    assert message.removeprefix("... ") in found if message.startswith("...") else message == found

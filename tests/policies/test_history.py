@@ -82,8 +82,8 @@ def test_an_object_that_the_history_lacks_is_new_and_its_label_counts():
     np.testing.assert_allclose(now.state.log_odds, [prior, 0.6, 0.4, 0.2], rtol=1e-6)
     assert np.asarray(attempt_counts(now.state)).tolist() == [[0, 0, 0, 0], [0, 0, 1, 0]]
     assert (now.new, now.notes) == ((0,), ())
-    told = labelled(now, [True] * 4, AssumedSeeing())
-    moved = np.asarray(told.state.log_odds) - np.asarray(now.state.log_odds)
+    result = labelled(now, [True] * 4, AssumedSeeing())
+    moved = np.asarray(result.state.log_odds) - np.asarray(now.state.log_odds)
     assert moved[0] > 1.0
     assert not moved[1:].any()
 

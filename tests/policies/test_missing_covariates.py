@@ -96,7 +96,7 @@ def test_a_covariate_without_a_rule_is_refused(logs, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("break_it", "told"),
+    ("break_it", "message"),
     [
         (lambda missing: missing["fills"]["x"].update(rule="mean"), "rule"),
         (lambda missing: missing["fills"]["x"].update(value=None, has_flag=True), "only numbers have a flag"),
@@ -105,14 +105,14 @@ def test_a_covariate_without_a_rule_is_refused(logs, tmp_path):
         (lambda missing: missing.pop("fills"), "fills"),
     ],
 )
-def test_a_broken_rule_of_a_folder_is_refused(break_it, told, folder):
+def test_a_broken_rule_of_a_folder_is_refused(break_it, message, folder):
     from halfseen.policies.folder.record import as_json, from_json
     from halfseen.policies.folder.stored import policy_of
 
     stored = read_policy(folder)
     record = json.loads(as_json(stored.record))
     break_it(record["schema"]["missing"])
-    with refused(told, PolicyError):
+    with refused(message, PolicyError):
         policy_of(from_json(as_json(record)), {"coefficients": stored.policy.coefficients})
 
 
@@ -128,14 +128,14 @@ def test_act_fills_in_a_file(form, folder, tmp_path):
         "csv": "x,colour,is_heavy,stage\n,,True,2\n",
     }
     (tmp_path / f"state.{form}").write_text(files[form])
-    told = acted(folder, tmp_path / f"state.{form}")
-    assert told["filled"] == ["x", "colour"]
+    result = acted(folder, tmp_path / f"state.{form}")
+    assert result["filled"] == ["x", "colour"]
     filling = read_policy(folder).policy.filling
     full = {"x": filling.fills["x"].value, "x_missing": 1, "colour": "missing", "is_heavy": 1, "stage": 2}
     (tmp_path / "full.json").write_text(json.dumps(full))
     expected = acted(folder, tmp_path / "full.json")
-    assert {**told, "warnings": [], "filled": [], "input": ""} == {**expected, "warnings": [], "input": ""}
-    assert told["warnings"][:2] == [
+    assert {**result, "warnings": [], "filled": [], "input": ""} == {**expected, "warnings": [], "input": ""}
+    assert result["warnings"][:2] == [
         f"x is missing and is replaced by {full['x']:.6g}, the median of the logs",
         "colour is missing and is replaced by 'missing', a category of its own",
     ]

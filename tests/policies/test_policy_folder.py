@@ -99,12 +99,12 @@ def test_a_policy_of_a_team_comes_back_with_what_it_improves_upon_and_decides_fo
 
 def test_the_log_of_another_learner_is_refused_and_nothing_is_written(logs, fitted, tmp_path):
     part = logs["flat"].select(logs["flat"].trajectory_ids[:-1])
-    for learner, log, told in (
+    for learner, log, message in (
         (fitted["flat"], part, "give it the log that it was fitted to"),
         (fitted["flat"], "logs", "logs is a str; give Logs"),
         (fitted["flat"].policy_, logs["flat"], "a DiscretePolicy is no learner; give one that was fitted"),
     ):
-        with refused_type(told):
+        with refused_type(message):
             write_policy(learner, log, tmp_path / "policy")
     assert not (tmp_path / "policy").exists()
 
@@ -112,8 +112,8 @@ def test_the_log_of_another_learner_is_refused_and_nothing_is_written(logs, fitt
 def through_a_folder(policy):
     """A policy of a team through what a folder holds of it."""
     kind = kind_named("team")
-    told_of = {"kind": "team", "schema": kind.schema(policy), "versions": {}}
-    return kind.policy_of(json.loads(json.dumps(told_of)), kind.arrays_of(policy))
+    specification = {"kind": "team", "schema": kind.schema(policy), "versions": {}}
+    return kind.policy_of(json.loads(json.dumps(specification)), kind.arrays_of(policy))
 
 
 def test_every_field_of_a_team_comes_back_also_where_others_are_given_or_none_is(fitted):

@@ -19,8 +19,8 @@ from policy_folders import (
     of_record,
     of_schema,
     record,
+    refusal,
     sign,
-    told,
 )
 
 from halfseen.errors import ArgumentError, PolicyError
@@ -38,12 +38,12 @@ def test_any_byte_changed_or_cut_off_is_noticed(written, name):
         changed = bytearray(whole)
         changed[position] ^= 1 << int(rng.integers(8))
         (written / name).write_bytes(changed)
-        assert "it was changed after it was written" in told(written)
+        assert "it was changed after it was written" in refusal(written)
     for keep in (0, 10):
         (written / name).write_bytes(whole[:keep])
-        assert "it was changed after it was written" in told(written)
+        assert "it was changed after it was written" in refusal(written)
     (written / name).unlink()
-    assert f"{written / name}: it is missing" in told(written)
+    assert f"{written / name}: it is missing" in refusal(written)
     (written / name).write_bytes(whole)
     read_policy(written)
 
@@ -51,8 +51,8 @@ def test_any_byte_changed_or_cut_off_is_noticed(written, name):
 def test_no_folder_and_a_folder_of_something_else_are_refused(tmp_path):
     (tmp_path / "file").write_text("x")
     for name in ("none", "file"):
-        assert "no such folder" in told(tmp_path / name)
-    assert "policy.json: it is missing" in told(tmp_path)
+        assert "no such folder" in refusal(tmp_path / name)
+    assert "policy.json: it is missing" in refusal(tmp_path)
 
 
 def of_alone(robot, **changed):
@@ -197,7 +197,7 @@ REFUSED = {
 def test_what_does_not_fit_is_refused(copied, kind, edit, message):
     folder = copied(kind)
     edit(folder)
-    assert message in told(folder)
+    assert message in refusal(folder)
 
 
 def places(of, at=()):
@@ -253,7 +253,7 @@ def test_a_failure_on_the_way_leaves_what_was_there(written, logs, fitted, monke
     assert [path.name for path in written.parent.iterdir()] == ["policy"]
 
 
-def test_what_a_kill_between_two_renames_left_aside_is_told_of(written, logs, fitted, monkeypatch):
+def test_what_a_kill_between_two_renames_left_aside_is_reported_of(written, logs, fitted, monkeypatch):
     def killed(*_):
         raise KeyboardInterrupt
 
@@ -262,7 +262,7 @@ def test_what_a_kill_between_two_renames_left_aside_is_told_of(written, logs, fi
         write_policy(fitted["flat"], logs["flat"], written, overwrite=True)
     monkeypatch.undo()
     (aside,) = written.parent.iterdir()
-    assert f"the previous folder is {aside}: rename it back" in told(written)
+    assert f"the previous folder is {aside}: rename it back" in refusal(written)
     aside.rename(written)
     read_policy(written)
 

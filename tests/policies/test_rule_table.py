@@ -132,13 +132,13 @@ def test_text_may_hold_the_word_and_or_look_like_a_number(tmp_path):
         ("x,action\n1,A\n", "rule.txt", "ends in .csv or .toml"),
     ],
 )
-def test_what_is_no_rule_is_told_in_one_line(tmp_path, text, name, message):
+def test_what_is_no_rule_is_reported_in_one_line(tmp_path, text, name, message):
     with pytest.raises(ArgumentError) as refusal:
         read_rule_table(written(tmp_path, text, name), horizon=1)
-    told = str(refusal.value)
-    assert message in told
-    assert name in told
-    assert "\n" not in told
+    words = str(refusal.value)
+    assert message in words
+    assert name in words
+    assert "\n" not in words
 
 
 @pytest.mark.parametrize(
@@ -212,12 +212,12 @@ def test_something_is_always_left_to_the_policy(tmp_path):
     assert shares == pytest.approx({"look": MOST_EXPLORED / 2, "shake": MOST_EXPLORED / 2})
 
 
-def test_what_is_drawn_has_the_probability_that_is_told():
+def test_what_is_drawn_has_the_probability_that_is_reported():
     best = Decision("grasp", {"grasp": 1.0, "look": 0.5, "shake": None}, "grasp: worth more.")
     shares, rng = {"look": 0.3, "shake": 0.2, "grasp": 0.1}, np.random.default_rng(0)
     drawn = [taken(best, shares, rng) for _ in range(4000)]
-    told = {one.decision.action: one.probability for one in drawn}
-    assert told == pytest.approx({"look": 0.3, "grasp": 0.7})
+    result = {one.decision.action: one.probability for one in drawn}
+    assert result == pytest.approx({"look": 0.3, "grasp": 0.7})
     counts = Counter(one.decision.action for one in drawn)
     assert counts["look"] == pytest.approx(1200, abs=4 * np.sqrt(4000 * 0.21))
     assert {one.is_explored for one in drawn if one.decision.action == "grasp"} == {False}
@@ -237,9 +237,9 @@ def test_what_is_drawn_has_the_probability_that_is_told():
     ],
 )
 def test_what_is_wrong_is_named(tmp_path, text, said):
-    with pytest.raises(ArgumentError, match=r"rule\.csv") as told:
+    with pytest.raises(ArgumentError, match=r"rule\.csv") as caught:
         read_exploration(written(tmp_path, text), ACTIONS, COLUMNS, ("colour",))
-    assert said in str(told.value)
+    assert said in str(caught.value)
 
 
 def test_one_state_is_decided_as_many_are(tmp_path):

@@ -29,7 +29,7 @@ def recorded():
 
 
 @cache
-def told():
+def recorded_lists():
     return json.loads((HERE / "eq3.json").read_text())
 
 
@@ -51,9 +51,9 @@ def test_a_fit_is_what_was_recorded(name):
     close = ROUNDED.get(name, ROUNDED.get(CASES[name][0], CLOSE))
     for what, value in expected.items():
         assert_close(found[what], value, what, close)
-    assert list(map(numbers_in, learner.chosen_)) == list(map(numbers_in, told()[name]["chosen"]))
+    assert list(map(numbers_in, learner.chosen_)) == list(map(numbers_in, recorded_lists()[name]["chosen"]))
     for what in ("largest_weight", "effective_sample_size"):
-        np.testing.assert_allclose(getattr(learner.diagnostics_, what), told()[name][what], rtol=CLOSE)
+        np.testing.assert_allclose(getattr(learner.diagnostics_, what), recorded_lists()[name][what], rtol=CLOSE)
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def test_bootstrap_draws_are_what_was_recorded(cell):
 def test_an_evaluation_is_what_was_recorded(cell):
     """But for the doubly robust value, whose weights are of states now, and what follows from it."""
     found = json.loads(json.dumps(evaluate(cell.policy_, read_logs(FOLDERS["later"])).as_dict()))
-    expected = told()["cell/evaluation"]
+    expected = recorded_lists()["cell/evaluation"]
     for name in ("importance_sampling", "fitted_q", "logging", "support", "num_trajectories", "level", "reward_unit"):
         assert_same(found[name], expected[name])
 

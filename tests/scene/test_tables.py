@@ -286,7 +286,7 @@ def test_all_ten_come_out_the_same(tmp_path):
             assert path_of(tmp_path, k).read_bytes() == path_of(PACKAGE, k).read_bytes(), path_of(tmp_path, k).name
 
 
-def test_a_folder_that_cannot_be_is_told_in_one_line(tmp_path):
+def test_a_folder_that_cannot_be_is_reported_in_one_line(tmp_path):
     (tmp_path / "tables").write_text("in the way")
     result = CliRunner().invoke(main, ["--out", str(tmp_path)])
     assert result.exit_code == 2

@@ -95,7 +95,7 @@ def acted(folder, tmp_path, *words, **state):
     file = tmp_path / "state.json"
     file.write_text(json.dumps(state))
     done = CliRunner().invoke(act, [str(folder), str(file), "--json", *words], catch_exceptions=False)
-    return {name: told for name, told in json.loads(done.output).items() if name not in OF_ACT}
+    return {name: result for name, result in json.loads(done.output).items() if name not in OF_ACT}
 
 
 def decided(client, **state):
@@ -122,8 +122,8 @@ def run(client, rng, num, gain=0.0, cut=0.0, *, is_clocked=True):
 
     for _ in range(num):
         for stage in (1, 2):
-            told = decided(client, x1=float(rng.normal()), x2=int(rng.integers(3)))
-            reward = float(rng.random()) + (gain if told.get("arm") != "rule" and stage == 2 else 0.0)
+            answer = decided(client, x1=float(rng.normal()), x2=int(rng.integers(3)))
+            reward = float(rng.random()) + (gain if answer.get("arm") != "rule" and stage == 2 else 0.0)
             client.post("/reward", json={"reward": reward, **clock(float(stage))})
         is_cut = rng.random() < cut
         end = {"ending": "cut", "cause": "operator"} if is_cut else {"ending": "finished"}

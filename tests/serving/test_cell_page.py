@@ -75,14 +75,14 @@ def test_before_the_first_decision_it_says_so(flat):
     assert "halfseen serve --record LOGS" in text
 
 
-def test_a_decision_is_told_with_its_reason_its_values_and_what_was_seen(flat, tmp_path):
+def test_a_decision_is_reported_with_its_reason_its_values_and_what_was_seen(flat, tmp_path):
     with client_of(flat, tmp_path / "logs") as asked:
-        told = decided(asked, x1=0.25, x2=1)
+        answer = decided(asked, x1=0.25, x2=1)
         state, text = asked.get("/state").json(), check_page(asked.get("/"))
-        assert (state["decision"], state["seen"]) == (told, {"x1": 0.25, "x2": 1})
-        assert f"<h1>Trajectory 1, stage 1 of 2: {told['action']}, by the policy.</h1>" in text
-        assert told["reason"] in text
-        assert f"{told['action']}, taken</th>" in text
+        assert (state["decision"], state["seen"]) == (answer, {"x1": 0.25, "x2": 1})
+        assert f"<h1>Trajectory 1, stage 1 of 2: {answer['action']}, by the policy.</h1>" in text
+        assert answer["reason"] in text
+        assert f"{answer['action']}, taken</th>" in text
         assert asked.get("/state").json()["revision"] == state["revision"]
         asked.post("/reward", json={"reward": 1.0})
         after = asked.get("/state").json()
@@ -115,9 +115,9 @@ def test_the_last_trajectories_are_those_of_the_log_and_the_comparison_is_that_o
     totals = logs.stages.groupby("trajectory")["reward"].agg(["sum", "size"])
     rows = logs.trajectories.set_index("trajectory").iloc[: -MOST_TRAJECTORIES - 1 : -1]
     assert [each["trajectory"] for each in state["trajectories"]] == rows.index.tolist()
-    for told, (name, row) in zip(state["trajectories"], rows.iterrows(), strict=True):
-        assert told["reward"] == pytest.approx(totals["sum"][name])
-        assert (told["stages"], told["arm"], told["ending"]) == (totals["size"][name], row["arm"], row["ending"])
+    for result, (name, row) in zip(state["trajectories"], rows.iterrows(), strict=True):
+        assert result["reward"] == pytest.approx(totals["sum"][name])
+        assert (result["stages"], result["arm"], result["ending"]) == (totals["size"][name], row["arm"], row["ending"])
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +135,7 @@ def alarm(flat, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_what_the_monitor_found_is_told_first(alarm, flat):
+def test_what_the_monitor_found_is_reported_first(alarm, flat):
     found, page, state, logs = alarm
     text = check_page(page).replace("&#39;", "'")
     expected = monitored(read_policy(flat), read_logs(logs))
@@ -208,7 +208,7 @@ def test_a_policy_is_watched_by_what_it_decided_itself(flat, tmp_path, monkeypat
 
 
 @pytest.mark.slow
-def test_a_log_that_cannot_be_watched_is_told_once(flat, tmp_path):
+def test_a_log_that_cannot_be_watched_is_reported_once(flat, tmp_path):
     said = []
     with Watch(flat, tmp_path / "nowhere", every_s=0.0, say=said.append) as watch:
         for _ in range(2):

@@ -54,12 +54,12 @@ def test_the_log_says_which_arm_with_which_chance_and_a_server_that_begins_again
     compared, _, client = cell()
     with client as asked:
         run(asked, rng, 30, cut=0.3, is_clocked=is_clocked)
-        told, live = asked.get("/comparison").json(), compared.standing
-        assert asked.get("/health").json()["comparison"] == told
+        answer, live = asked.get("/comparison").json(), compared.standing
+        assert asked.get("/health").json()["comparison"] == answer
         decided(asked, x1=0.1, x2=1)
         torn = compared.deal
     trajectories = read_logs(tmp_path / "logs").trajectories
-    assert (told["num"], told["num_policy"]) == (30, int((trajectories["arm"][:30] == "policy").sum()))
+    assert (answer["num"], answer["num_policy"]) == (30, int((trajectories["arm"][:30] == "policy").sum()))
     assert set(trajectories["policy_chance"]) == {0.5}
     again, _, client = cell()
     assert (again.courses.num, again.courses.is_policy[-1]) == (31, torn.is_policys)
@@ -98,16 +98,16 @@ def test_a_better_policy_is_promoted_and_a_sentence_says_so_once(cell, tmp_path)
     with client as asked:
         run(asked, rng, 40, gain=3.0)
         assert compared.standing.verdict == "promoted"
-        told = asked.get("/comparison").json()
-        assert (told["verdict"], told["share"]) == ("promoted", 1.0)
-        assert 0.0 < told["low"] < told["gain"] < told["high"]
+        answer = asked.get("/comparison").json()
+        assert (answer["verdict"], answer["share"]) == ("promoted", 1.0)
+        assert 0.0 < answer["low"] < answer["gain"] < answer["high"]
     assert len(said) == 1
     assert said[0].startswith("the policy is promoted after ")
     chances = read_logs(tmp_path / "logs").trajectories["policy_chance"]
     assert set(chances) == {0.5, 1.0}
     assert (np.diff(chances) >= 0).all()
     # What comes after the verdict adds nothing, and is not kept.
-    assert compared.courses.num == told["num"] + 1 < len(chances)
+    assert compared.courses.num == answer["num"] + 1 < len(chances)
     again, said, _ = cell()
     assert (again.standing, again.courses.num, said) == (compared.standing, compared.courses.num, [])
 
@@ -145,17 +145,17 @@ def test_another_policy_begins_a_comparison_of_its_own(cell, tmp_path):
     assert courses_of(logs, compared.policy, compared.name).num == 5
 
 
-def test_a_verdict_that_the_log_already_shows_is_told_when_a_server_begins(cell, flat, tmp_path, monkeypatch):
+def test_a_verdict_that_the_log_already_shows_is_reported_when_a_server_begins(cell, flat, tmp_path, monkeypatch):
     _, said, client = cell()
     with client as asked:
         run(asked, np.random.default_rng(2), 8)
     assert said == []
     monkeypatch.setattr(limits, "serve", lambda _app, _at, begun: begun())
     words = ["--port", "0", "--monitor-every", "0", "--record", tmp_path / "logs", "--against", tmp_path / "rule.csv"]
-    for more, told in (([], []), (["--most-loss", "0.01"], ["the policy is stopped after 8 trajectories, 6 by"])):
+    for more, found in (([], []), (["--most-loss", "0.01"], ["the policy is stopped after 8 trajectories, 6 by"])):
         result = CliRunner().invoke(serve, [str(word) for word in (flat, *words, *more)], catch_exceptions=False)
         _, *lines = result.stdout.splitlines()
-        assert [line[: len(at)] for line, at in zip(lines, told, strict=True)] == told
+        assert [line[: len(at)] for line, at in zip(lines, found, strict=True)] == found
 
 
 def test_without_a_comparison_there_is_nothing_to_say(flat):

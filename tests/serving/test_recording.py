@@ -33,9 +33,9 @@ def folder(tmp_path_factory):
 def test_without_a_history_it_says_what_act_says(state, folder, tmp_path):
     said = acted(folder, tmp_path, **state, stage=2)
     with client_of(folder) as client:
-        told = client.post("/decide", json={**state, "stage": 2}).json()
-    assert {name: told[name] for name in said} == said
-    assert told["filled"] == [name for name in ("x", "colour", "is_heavy") if state.get(name) is None]
+        answer = client.post("/decide", json={**state, "stage": 2}).json()
+    assert {name: answer[name] for name in said} == said
+    assert answer["filled"] == [name for name in ("x", "colour", "is_heavy") if state.get(name) is None]
 
 
 def test_within_an_episode_the_last_value_stands_and_is_recorded_as_the_policy_saw_it(folder, tmp_path):
@@ -47,8 +47,8 @@ def test_within_an_episode_the_last_value_stands_and_is_recorded_as_the_policy_s
             for row in stages.to_dict("records"):
                 state = {name: None if pd.isna(row[name]) else row[name] for name in names}
                 state["is_heavy"] = None if state["is_heavy"] is None else int(state["is_heavy"])
-                told = client.post("/decide", json=state).json()
-                assert told["filled"] == [name for name, value in state.items() if value is None]
+                answer = client.post("/decide", json=state).json()
+                assert answer["filled"] == [name for name, value in state.items() if value is None]
                 rewarded(client)
             client.post("/end", json={"ending": "finished"}).raise_for_status()
     found = read_logs(tmp_path / "logs").stages
@@ -102,13 +102,13 @@ def test_truth_values_and_numbers_are_recorded_as_the_log_began(flat, tmp_path, 
     assert read_logs(tmp_path / "logs").stages["x1"].tolist() == held
 
 
-def test_a_covariate_that_is_new_to_the_log_is_left_out_and_told(flat, tmp_path):
+def test_a_covariate_that_is_new_to_the_log_is_left_out_and_reported(flat, tmp_path):
     with client_of(flat, tmp_path / "logs") as client:
         assert "warning" not in " ".join(decided(client, x1=0.1, x2=1, batch=7)["warnings"])
         cut(client)
-        told = decided(client, x1=0.1, x2=1, batch=8, colour="red", reward=3)
+        answer = decided(client, x1=0.1, x2=1, batch=8, colour="red", reward=3)
         cut(client)
-        assert told["warnings"][-2:] == [
+        assert answer["warnings"][-2:] == [
             f"'{name}' is not in the log so far, and is not recorded" for name in ("colour", "reward")
         ]
         line = refused(client.post("/decide", json={"x1": 0.1, "x2": 1}), 422)
@@ -117,15 +117,15 @@ def test_a_covariate_that_is_new_to_the_log_is_left_out_and_told(flat, tmp_path)
     assert read_logs(tmp_path / "logs").stages["batch"].tolist() == [7, 8]
 
 
-def test_columns_of_objects_that_are_new_to_the_log_are_left_out_and_told(tables, objects, tmp_path):
+def test_columns_of_objects_that_are_new_to_the_log_are_left_out_and_reported(tables, objects, tmp_path):
     more = [{**row, "hue": 3} for row in objects]
     with client_of(tables, tmp_path / "logs", of_tables=True) as client:
         decided(client, objects=objects)
         cut(client)
-        told = decided(client, objects=more, light=1)
+        answer = decided(client, objects=more, light=1)
         cut(client)
     words = "is not in the log so far, and is not recorded"
-    assert told["warnings"][-2:] == [f"'light' {words}", f"of objects, 'hue' {words}"]
+    assert answer["warnings"][-2:] == [f"'light' {words}", f"of objects, 'hue' {words}"]
     logs = read_logs(tmp_path / "logs")
     assert (len(logs.objects), "hue" in logs.objects, "light" in logs.stages) == (2 * len(objects), False, False)
 
@@ -212,7 +212,7 @@ def test_a_trajectory_in_progress_is_finished_by_the_policy_that_began_it(flat, 
     assert read_logs(tmp_path / "logs").trajectories["policy_digest"].tolist() == [before, fresh]
 
 
-def test_a_full_disk_is_told_with_a_status_of_its_own_until_there_is_room(flat, tmp_path, monkeypatch):
+def test_a_full_disk_is_reported_with_a_status_of_its_own_until_there_is_room(flat, tmp_path, monkeypatch):
     def status_of(client):
         return client.get("/health").json()["status"]
 
@@ -224,9 +224,9 @@ def test_a_full_disk_is_told_with_a_status_of_its_own_until_there_is_room(flat, 
         with monkeypatch.context() as disk:
             disk.setattr("halfseen.logs.journal_writer._write", full)
             for address, given in (("/reward", {"reward": 1.0, "elapsed_s": 1.0}), ("/end", CUT)):
-                told = client.post(address, json=given)
-                assert told.status_code == 507
-                assert "make room and give it again" in told.json()["error"]
+                answer = client.post(address, json=given)
+                assert answer.status_code == 507
+                assert "make room and give it again" in answer.json()["error"]
                 assert status_of(client) == "not recording"
         client.post("/reward", json={"reward": 1.0, "elapsed_s": 1.0}).raise_for_status()
         assert status_of(client) == "ok"
@@ -241,10 +241,10 @@ def test_a_full_disk_is_told_with_a_status_of_its_own_until_there_is_room(flat, 
 
 
 def test_a_server_that_begins_again_does_not_draw_the_same_again(flat, tmp_path, monkeypatch):
-    told = []
+    result = []
 
     def asked(served, *_, **__):
-        told.append(served.answering.rng.bit_generator.state["state"]["state"])
+        result.append(served.answering.rng.bit_generator.state["state"]["state"])
         with TestClient(app_of(served), base_url="http://127.0.0.1") as client:
             decided(client, x1=0.1, x2=1)
 
@@ -253,7 +253,7 @@ def test_a_server_that_begins_again_does_not_draw_the_same_again(flat, tmp_path,
     words = [str(flat), "--port", "0", "--monitor-every", "0", "--record", str(tmp_path / "logs"), "--explore", "0.9"]
     for _ in range(12):
         CliRunner().invoke(serve, words, catch_exceptions=False)
-    assert len(set(told)) == 12
+    assert len(set(result)) == 12
     assert set(read_logs(tmp_path / "logs").stages["probability"].round(6)) == {0.45, 0.55}
     # Nor is the first draw the one by which the first trajectory is dealt.
-    assert told[0] != np.random.default_rng([0, 0]).bit_generator.state["state"]["state"]
+    assert result[0] != np.random.default_rng([0, 0]).bit_generator.state["state"]["state"]

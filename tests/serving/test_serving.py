@@ -38,12 +38,12 @@ def test_it_says_what_act_says(asked, flat, tmp_path):
     rng = np.random.default_rng(0)
     for stage in (1, 2, 1, 2):
         state = {"x1": float(rng.normal()), "x2": int(rng.integers(3)), "stage": stage}
-        told = asked.post("/decide", json=state).json()
+        answer = asked.post("/decide", json=state).json()
         said = acted(flat, tmp_path, **state)
         assert said["intervals"]
-        assert {name: told[name] for name in said} == said
-        assert set(told) - set(said) == {*NOT_OF_ACT, "policy"}
-        assert (told["probability"], told["is_explored"]) == (1.0, False)
+        assert {name: answer[name] for name in said} == said
+        assert set(answer) - set(said) == {*NOT_OF_ACT, "policy"}
+        assert (answer["probability"], answer["is_explored"]) == (1.0, False)
 
 
 @pytest.mark.parametrize(
@@ -83,7 +83,7 @@ def test_a_bad_request_gets_one_line_and_harms_no_other(asked, body, status, say
     assert asked.post("/decide", json=SEEN).json() == before
 
 
-def test_a_method_that_is_not_answered_is_told_with_those_that_are(asked):
+def test_a_method_that_is_not_answered_is_reported_with_those_that_are(asked):
     assert asked.get("/decide").headers["allow"] == "POST"
     assert "does not exist" in refused(asked.post("/decide/", json=SEEN, follow_redirects=False), 404)
 
@@ -91,7 +91,7 @@ def test_a_method_that_is_not_answered_is_told_with_those_that_are(asked):
 def test_other_addresses_and_forms_are_refused(asked):
     text = {"content": b"{}", "headers": {"content-type": "text/plain"}}
     packed = {"content": b"\x1f\x8b", "headers": {"content-type": "application/json", "content-encoding": "gzip"}}
-    for answer, status, told in (
+    for answer, status, result in (
         (asked.get("/decisions"), 404, "this address does not exist"),
         (asked.get("/decide"), 405, "GET is not answered"),
         (asked.post("/decide", **text), 415, "content-type is 'text/plain'"),
@@ -104,7 +104,7 @@ def test_other_addresses_and_forms_are_refused(asked):
             for name in ("evil.example", "127.0.0.1.evil.example", "evil.example:8080", "")
         ),
     ):
-        assert told in refused(answer, status)
+        assert result in refused(answer, status)
     for name in ("localhost:8080", "127.0.0.1", "[::1]:8080", "[::1]"):
         assert asked.get("/health", headers={"host": name}).json()["status"] == "ok"
 
@@ -135,9 +135,9 @@ def test_what_is_decided_becomes_a_log_with_probabilities(flat, tmp_path):
         for trajectory in range(24):
             for stage in (1, 2):
                 state = {"x1": float(rng.normal()), "x2": int(rng.integers(3)), "seen_by": "left", "objects": 3}
-                told = client.post("/decide", json=state).json()
-                assert (told["trajectory"], told["stage"]) == (trajectory + 1, stage)
-                taken.append((told["action"], told["probability"]))
+                answer = client.post("/decide", json=state).json()
+                assert (answer["trajectory"], answer["stage"]) == (trajectory + 1, stage)
+                taken.append((answer["action"], answer["probability"]))
                 assert "has no reward yet" in refused(client.post("/decide", json=state), 409)
                 assert "has no reward yet" in refused(client.post("/end", json={"ending": "finished"}), 409)
                 rewards.append(float(rng.normal()))
@@ -159,18 +159,18 @@ def test_what_is_decided_becomes_a_log_with_probabilities(flat, tmp_path):
     written(tmp_path / "next", logs)
 
 
-def test_a_trajectory_in_progress_is_told_and_cut_when_the_server_stops(flat, tmp_path):
+def test_a_trajectory_in_progress_is_reported_and_cut_when_the_server_stops(flat, tmp_path):
     with client_of(flat, tmp_path / "logs") as client:
         assert client.get("/health").json()["recording"] == {"trajectory": None, "stage": 0, "waits_for": "decision"}
-        told = client.post("/decide", json=SEEN).json()
-        where = {"trajectory": 1, "stage": 1, "waits_for": "reward", "action": told["action"]}
+        answer = client.post("/decide", json=SEEN).json()
+        where = {"trajectory": 1, "stage": 1, "waits_for": "reward", "action": answer["action"]}
         assert client.get("/health").json()["recording"] == where
         client.post("/reward", json={"reward": 1.0, "elapsed_s": 2.0})
         assert "leave it out" in refused(client.post("/decide", json=SEEN | {"stage": 1}), 409)
         assert "is before" in refused(client.post("/end", json={"ending": "finished", "elapsed_s": 1.0}), 422)
     with client_of(flat, tmp_path / "logs") as client:
-        told = refused(client.post("/decide", json=SEEN | {"stage": 2}), 409)
-        assert told == "stage is 2, but no trajectory is in progress, as a server that stops cuts it; begin a new one"
+        answer = refused(client.post("/decide", json=SEEN | {"stage": 2}), 409)
+        assert answer == "stage is 2, but no trajectory is in progress, as a server that stops cuts it; begin a new one"
     assert read_logs(tmp_path / "logs").trajectories["cause"].tolist() == ["server stopped"]
 
 
@@ -215,10 +215,10 @@ def test_what_cannot_be_recorded_is_not_decided(flat, tmp_path):
 @pytest.mark.slow
 def test_a_draw_is_as_likely_as_it_says(flat):
     with client_of(flat, epsilon=0.5) as client:
-        told = [client.post("/decide", json=SEEN).json() for _ in range(160)]
-    by_action = Counter((one["action"], round(one["probability"], 9), one["is_explored"]) for one in told)
+        answer = [client.post("/decide", json=SEEN).json() for _ in range(160)]
+    by_action = Counter((one["action"], round(one["probability"], 9), one["is_explored"]) for one in answer)
     assert {key[1:] for key in by_action} == {(0.75, False), (0.25, True)}
-    explored = [one for one in told if one["is_explored"]]
+    explored = [one for one in answer if one["is_explored"]]
     assert len(explored) == pytest.approx(40, abs=4 * np.sqrt(160 * 0.25 * 0.75))
     assert "drawn to explore" in explored[0]["reason"]
 
@@ -239,11 +239,11 @@ def test_a_table_says_what_is_tried_where_and_the_log_holds_its_probability(flat
     file.write_text("x1,action,probability\n> 0,A,0.3\n> 0,B,0.3\n")
     table = read_exploration(file, ("A", "B", "C"), ("x1", "x2"))
     with client_of(flat, table=table) as client:
-        told = [client.post("/decide", json={"x1": 0.4, "x2": 1.0}).json() for _ in range(120)]
+        answer = [client.post("/decide", json={"x1": 0.4, "x2": 1.0}).json() for _ in range(120)]
         still = [client.post("/decide", json={"x1": -0.4, "x2": 1.0}).json() for _ in range(5)]
-    found = {one["action"]: (round(one["probability"], 9), one["is_explored"]) for one in told}
+    found = {one["action"]: (round(one["probability"], 9), one["is_explored"]) for one in answer}
     assert sorted(found.values()) == [(0.3, True), (0.7, False)]
-    assert sum(one["is_explored"] for one in told) == pytest.approx(36, abs=4 * np.sqrt(120 * 0.21))
+    assert sum(one["is_explored"] for one in answer) == pytest.approx(36, abs=4 * np.sqrt(120 * 0.21))
     assert {(one["probability"], one["is_explored"]) for one in still} == {(1.0, False)}
 
 
@@ -373,10 +373,10 @@ def test_description_and_page_tell_in_words_whatever_is_asked_for_in_the_order_o
 def test_a_table_is_decided_from_a_cloud_as_act_does(tables):
     table = table_paths()[7]
     done = CliRunner().invoke(act, [str(tables), str(table), "--json", "--stage", "2", "--extrapolate"])
-    said = {name: told for name, told in json.loads(done.output).items() if name not in OF_ACT}
+    said = {name: answer for name, answer in json.loads(done.output).items() if name not in OF_ACT}
     with client_of(tables, of_tables=True) as client:
-        told = client.post("/decide", files={"cloud": (table.name, table.read_bytes())}, data={"stage": "2"}).json()
-        assert {name: told[name] for name in said} == said
+        answer = client.post("/decide", files={"cloud": (table.name, table.read_bytes())}, data={"stage": "2"}).json()
+        assert {name: answer[name] for name in said} == said
         broken = client.post("/decide", files={"cloud": ("../../x.pcd", b"VERSION .7\n")})
         assert refused(broken, 422).startswith("cloud.pcd: ")
         assert "missing field 'cloud'; give a file of what the camera sees" in refused(
@@ -396,14 +396,14 @@ def test_a_place_that_is_none_is_refused_in_one_line(tables, objects, location):
 
 def test_a_table_as_a_log_has_it_is_decided_and_recorded(tables, objects, tmp_path):
     with client_of(tables, tmp_path / "logs") as client:
-        told = client.post("/decide", json={"objects": objects}).json()
-        assert told["action"] == " ".join(str(one) for one in (told["verb"], told["object"]) if one is not None)
+        answer = client.post("/decide", json={"objects": objects}).json()
+        assert answer["action"] == " ".join(str(one) for one in (answer["verb"], answer["object"]) if one is not None)
         ended(client)
         assert "a policy without tables" in refused(client.post("/decide", files={"cloud": ("t.pcd", b"")}), 409)
         wrong = [{**one, "location": "NOWHERE"} for one in objects]
         assert "NOWHERE" in refused(client.post("/decide", json={"objects": wrong}), 422)
     stored = read_logs(tmp_path / "logs")
-    assert stored.stages[["action", "probability"]].to_numpy().tolist() == [[told["verb"], 1.0]]
+    assert stored.stages[["action", "probability"]].to_numpy().tolist() == [[answer["verb"], 1.0]]
     assert len(stored.objects) == 3
 
 

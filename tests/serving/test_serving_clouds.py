@@ -86,8 +86,8 @@ def decided(client, cloud, labels="", **fields):
     return answer.json()
 
 
-def rewarded(client, **told):
-    answer = client.post("/reward", json={"reward": 1.0} | told)
+def rewarded(client, **result):
+    answer = client.post("/reward", json={"reward": 1.0} | result)
     assert answer.status_code == 200, answer.text
     return answer.json()
 
@@ -109,7 +109,7 @@ def can_at(row):
     return (*CANS, ELSEWHERE)[int(np.argmin(apart_m))]
 
 
-def checked_stage(logs, seen, told):
+def checked_stage(logs, seen, result):
     """What is recorded of a stage is the state that it was decided in, to the last bit; returns its rows."""
     rows, stage, now = last_rows(logs), seen.present.stage, seen.present.state
     places_m = rows[["x_m", "y_m", "z_m"]].to_numpy()
@@ -120,10 +120,10 @@ def checked_stage(logs, seen, told):
         np.testing.assert_array_equal(np.asarray(getattr(state, name))[name_of], getattr(now, name))
     np.testing.assert_array_equal(np.asarray(state.hides)[np.ix_(name_of, name_of)], now.hides)
     assert int(state.steps_to_go) == int(now.steps_to_go)
-    number = told["action"].partition(" ")[2]
-    assert told["object"] == (name_of[int(number)] if number else None)
+    number = result["action"].partition(" ")[2]
+    assert result["object"] == (name_of[int(number)] if number else None)
     done = logs.stages.iloc[-1]
-    assert (done["action"], done["probability"]) == (told["verb"], told["probability"])
+    assert (done["action"], done["probability"]) == (result["verb"], result["probability"])
     return rows
 
 
@@ -141,10 +141,10 @@ def test_what_is_recorded_is_what_was_decided_in(tables, shows, tmp_path, seed):
             past = None if stage == 1 else Past(read_logs(folder), held)
             seen = see_table(stored, file, past, labels=labels)
             said = json.loads(json.dumps(asdict(decider.decide(seen.present))))
-            told = decided(client, file.read_bytes(), labels.read_text())
-            assert all(told[name] == said[name] for name in ("q_values", "intervals", "chance_best"))
-            assert told["seen"] == seen.present.seen.replace(str(labels), "labels.csv")
-            rows = checked_stage(read_logs(folder), seen, told)
+            of_labels = decided(client, file.read_bytes(), labels.read_text())
+            assert all(of_labels[name] == said[name] for name in ("q_values", "intervals", "chance_best"))
+            assert of_labels["seen"] == seen.present.seen.replace(str(labels), "labels.csv")
+            rows = checked_stage(read_logs(folder), seen, of_labels)
             for _, row in rows.iterrows():
                 can, outcomes = can_at(row), [outcome for _, outcome in tried[can_at(row)]]
                 assert row["location"] == ("TABLE" if can in table else "DISHWASHER")
@@ -154,14 +154,14 @@ def test_what_is_recorded_is_what_was_decided_in(tables, shows, tmp_path, seed):
                 )
                 assert (row["successes"], row["failures"]) == (outcomes.count(True), outcomes.count(False))
                 assert row["lifts"] == lifted[can]
-            if told["verb"] == "FINISH":
+            if of_labels["verb"] == "FINISH":
                 break
-            target, held = rows.iloc[told["object"]], bool(rng.random() < 0.6)
+            target, held = rows.iloc[of_labels["object"]], bool(rng.random() < 0.6)
             rewarded(client, held=held)
             can = can_at(target)
             tried[can].append((target["occlusion"], held))
-            lifted[can] += told["verb"] == "LIFT" and held
-            if told["verb"] == "WASH" and held:
+            lifted[can] += of_labels["verb"] == "LIFT" and held
+            if of_labels["verb"] == "WASH" and held:
                 table.remove(can)
             if not table:
                 break
@@ -176,16 +176,16 @@ def test_where_nobody_says_what_held_it_is_taken_as_act_takes_it(recorded, table
         history = [] if stage == 1 else ["--history", str(folder)]
         words = [str(tables), str(tmp_path / "t.pcd"), "--json", "--extrapolate", *history]
         said = json.loads(CliRunner().invoke(act, words, catch_exceptions=False).output)
-        told = decided(recorded, cloud, stage=str(stage))
+        answer = decided(recorded, cloud, stage=str(stage))
         for name in ("stage", "q_values", "intervals", "chance_best", "warnings"):
-            assert told[name] == said[name]
+            assert answer[name] == said[name]
         if done == "LIFT":
-            assert "held is not known; it is not counted" in told["warnings"][0]
-        done = told["verb"]
+            assert "held is not known; it is not counted" in answer["warnings"][0]
+        done = answer["verb"]
         if done == "FINISH":
             break
         if done == "WASH":
-            table.remove(can_at(last_rows(read_logs(folder)).iloc[told["object"]]))
+            table.remove(can_at(last_rows(read_logs(folder)).iloc[answer["object"]]))
         rewarded(recorded)
         if not table:
             break
@@ -200,8 +200,8 @@ def test_what_a_law_tells_of_looks_is_recorded(tables, shows, tmp_path):
         for stage in (1, 2):
             past = None if stage == 1 else Past(read_logs(folder), held=False)
             seen = see_table(read_policy(tables), tmp_path / "t.pcd", past, labels=tmp_path / "l.csv", law=law)
-            told = decided(client, shows(*CANS), labels)
-            rows = checked_stage(read_logs(folder), seen, told)
+            of_labels = decided(client, shows(*CANS), labels)
+            rows = checked_stage(read_logs(folder), seen, of_labels)
             assert (rows["seen"] > 0.0).all()
             rewarded(client, held=False)
     first, again = (read_logs(folder).objects.groupby("stage")["log_odds"].get_group(stage) for stage in (1, 2))
@@ -213,17 +213,17 @@ def test_what_a_law_tells_of_looks_is_recorded(tables, shows, tmp_path):
 def test_what_comes_into_view_has_a_name_of_its_own_and_keeps_it(recorded, shows, tmp_path):
     names = []
     for table in ([LEFT, MIDDLE], [LEFT, ELSEWHERE, MIDDLE], [ELSEWHERE, MIDDLE], CANS):
-        told = decided(recorded, shows(*table))
+        answer = decided(recorded, shows(*table))
         rows = last_rows(read_logs(tmp_path / "logs"))
         names.append({can_at(row): row["object"] for _, row in rows.iterrows()})
         assert rows["location"].tolist() == ["TABLE"] * len(rows)
-        if told["verb"] == "FINISH":
+        if answer["verb"] == "FINISH":
             pytest.fail("the seed of the fixture lets no trajectory end here")
         rewarded(recorded, held=False)
     assert [len(each) for each in names] == [2, 3, 3, 4]
     assert all(before.items() <= after.items() for before, after in pairwise(names))
     assert sorted(names[-1].values()) == [0, 1, 2, 3]
-    assert "which the cloud does not show" in told["warnings"][0]
+    assert "which the cloud does not show" in answer["warnings"][0]
 
 
 def test_what_cannot_be_gone_on_from_leaves_the_trajectory_as_it_was(recorded, shows, tmp_path):
@@ -299,9 +299,9 @@ def test_others_are_answered_while_a_cloud_is_looked_at_and_the_order_stays(tabl
     monkeypatch.setattr(table_observation, "perceive", slowly)
     with RecordedTrajectories(tmp_path / "logs", is_of_tables=True) as trajectories:
         served = Served(tables, Answering(trajectories=trajectories), extrapolates=True)
-        health, told, rewarded = asyncio.run(ask(app_of(served), shows(*CANS)))
+        health, answer, rewarded = asyncio.run(ask(app_of(served), shows(*CANS)))
     assert health["recording"] == {"trajectory": None, "stage": 0, "waits_for": "decision"}
-    assert told["stage"] == 1
+    assert answer["stage"] == 1
     assert rewarded == {"trajectory": 1, "stage": 1, "waits_for": "decision"}
 
 
@@ -343,12 +343,12 @@ def test_what_was_served_from_clouds_makes_the_next_log(tables, shows, tmp_path)
         for trajectory in range(30):
             num_left = len(CANS)
             for _ in range(2):
-                told = decided(client, clouds[num_left], labels_of(rng, num_left))
+                labels = decided(client, clouds[num_left], labels_of(rng, num_left))
                 cans = cans or [can_at(row) for _, row in last_rows(read_logs(folder)).iterrows()]
-                if told["verb"] == "FINISH":
+                if labels["verb"] == "FINISH":
                     rewarded(client, reward=-2.0 * num_left)
                     break
-                held = told["verb"] == "WASH" and cans[told["object"]] is CANS[num_left - 1]
+                held = labels["verb"] == "WASH" and cans[labels["object"]] is CANS[num_left - 1]
                 rewarded(client, reward=float(rng.normal()), held=held)
                 num_left -= held
             client.post(
@@ -361,8 +361,8 @@ def test_what_was_served_from_clouds_makes_the_next_log(tables, shows, tmp_path)
     write_policy(learner, logs, tmp_path / "next")
     (prior,) = logs.trajectories["dirty_share"].unique()
     assert read_policy(tmp_path / "next").record["schema"]["dirty_share"] == prior
-    told = evaluate(learner.policy_, logs, against="logging", censoring="kaplan-meier", num_folds=2)
-    assert np.isfinite(told.doubly_robust.value)
+    labels = evaluate(learner.policy_, logs, against="logging", censoring="kaplan-meier", num_folds=2)
+    assert np.isfinite(labels.doubly_robust.value)
 
 
 def test_the_path_of_the_guide_is_answered_and_recorded(recorded, shows, tmp_path):
@@ -390,8 +390,8 @@ def test_beyond_the_horizon_the_trajectory_ends_and_is_recorded(recorded, tables
     for stage in range(1, HORIZON + 1):
         assert "stepped_back" not in decided(recorded, cloud, stage=str(stage))
         rewarded(recorded)
-    told = decided(recorded, cloud)
-    assert (told["stage"], told["action"], told["stepped_back"]) == (HORIZON + 1, "FINISH", "beyond-horizon")
+    answer = decided(recorded, cloud)
+    assert (answer["stage"], answer["action"], answer["stepped_back"]) == (HORIZON + 1, "FINISH", "beyond-horizon")
     rewarded(recorded)
     recorded.post("/end", json={"ending": "finished"})
     logs = read_logs(tmp_path / "logs")

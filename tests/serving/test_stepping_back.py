@@ -54,9 +54,9 @@ def test_far_outside_and_beyond_the_horizon_the_usual_action_of_the_log_is_taken
         for one in (far, later):
             assert (one["probability"], one["is_explored"], one["q_values"]) == (1.0, False, {})
         assert "stepped_back" not in decided(client, **WITHIN)
-        told = client.get("/health").json()["rule"]
+        answer = client.get("/health").json()["rule"]
     counts = {"decisions": 3, "stepped_back": 2, "by": {"out-of-range": 1, "beyond-horizon": 1}}
-    assert told == {**counts, "last": "stage 7 is beyond the policy's horizon, 2"}
+    assert answer == {**counts, "last": "stage 7 is beyond the policy's horizon, 2"}
 
 
 @pytest.mark.parametrize(("stays_within", "why"), [(True, "out-of-range"), (False, None)])
@@ -68,11 +68,11 @@ def test_a_hair_outside_the_rule_decides_where_that_is_wanted_and_the_ends_are_w
         for end, way in ((low, -np.inf), (high, np.inf)):
             assert "stepped_back" not in decided(client, **{**WITHIN, "x1": end})
             beyond = float(np.nextafter(end, way))
-            told = decided(client, **{**WITHIN, "x1": beyond})
-            assert told.get("stepped_back") == why
+            answer = decided(client, **{**WITHIN, "x1": beyond})
+            assert answer.get("stepped_back") == why
             # As many digits as tell the two apart.
             ((value, least, most),) = re.findall(
-                r"x1 is (\S+), [^(]*outside the logs[^(]* \((\S+) to (\S+)\)", json.dumps(told)
+                r"x1 is (\S+), [^(]*outside the logs[^(]* \((\S+) to (\S+)\)", json.dumps(answer)
             )
             assert not float(least) <= float(value) <= float(most)
 
@@ -91,9 +91,9 @@ def test_a_rule_file_decides_and_where_it_cannot_the_usual_action_does(flat, tmp
     rule = tmp_path / "rule.csv"
     rule.write_text("x2,seen_by,action\n> 1,= left,C\n,,A\n")
     with client_of(flat, served={"rule": rule}) as client:
-        told = [decided(client, x1=800, x2=x2, seen_by="left")["action"] for x2 in (0, 2)]
+        answer = [decided(client, x1=800, x2=x2, seen_by="left")["action"] for x2 in (0, 2)]
         lacking = decided(client, x1=800, x2=2)
-    assert told == ["A", "C"]
+    assert answer == ["A", "C"]
     assert lacking["action"] == usual(logs, 1)
     assert "as the rule rule.csv fails: the rule asks for seen_by = left, but seen_by is None" in lacking["reason"]
     rule.write_text("action\nD\n")
@@ -105,20 +105,20 @@ def test_a_rule_file_decides_and_where_it_cannot_the_usual_action_does(flat, tmp
         Served(flat, rule=rule)
 
 
-def test_a_rule_that_asks_for_what_the_policy_does_not_is_told_of(flat, tmp_path):
+def test_a_rule_that_asks_for_what_the_policy_does_not_is_reported_of(flat, tmp_path):
     (tmp_path / "rule.csv").write_text("x_1,action\n> 1,B\n,A\n")
-    # It is told before the address is found not to be of this machine.
+    # It is reported before the address is found not to be of this machine.
     words = [str(flat), "--fall-back", str(tmp_path / "rule.csv"), "--host", "192.0.2.1", "--token", "a" * 16]
-    told = CliRunner().invoke(serve, words)
-    assert "rule.csv: the rule asks for x_1, which the policy does not use; if a request lacks it" in told.output
-    assert "did you mean 'x1'?" in told.output
-    assert isinstance(told.exception, ArgumentError)
+    result = CliRunner().invoke(serve, words)
+    assert "rule.csv: the rule asks for x_1, which the policy does not use; if a request lacks it" in result.output
+    assert "did you mean 'x1'?" in result.output
+    assert isinstance(result.exception, ArgumentError)
     policy = written(tmp_path / "policy", coloured(), ["x1", "colour"])
     (tmp_path / "rule.csv").write_text("colour,action\nred or blue,B\n!= Red,C\nblue,A\n,A\n")
-    told = CliRunner().invoke(serve, [str(policy), *words[1:]]).output
-    assert "rule.csv: a row asks for colour = red or blue, which no log showed" in told
-    assert "rule.csv: a row asks for colour != Red, which no log showed; did you mean 'red'?" in told
-    assert told.count("asks for") == 2
+    result = CliRunner().invoke(serve, [str(policy), *words[1:]]).output
+    assert "rule.csv: a row asks for colour = red or blue, which no log showed" in result
+    assert "rule.csv: a row asks for colour != Red, which no log showed; did you mean 'red'?" in result
+    assert result.count("asks for") == 2
 
 
 @pytest.mark.parametrize("failing", ["raises", "is no number"])
@@ -134,8 +134,8 @@ def test_a_policy_that_fails_is_replaced_by_the_rule(flat, monkeypatch, capsys, 
             return found._replace(scores=np.full_like(found.scores, np.nan))
 
         monkeypatch.setattr(kind, "valued", broken)
-        told = decided(client, **WITHIN)
-        assert told["stepped_back"] == "failed"
+        answer = decided(client, **WITHIN)
+        assert answer["stepped_back"] == "failed"
         assert client.get("/health").json()["rule"]["by"] == {"failed": 1}
     assert ("ZeroDivisionError" in capsys.readouterr().err) == (failing == "raises")
 
@@ -150,9 +150,9 @@ def test_a_decision_that_comes_too_late_is_dropped_for_the_rules(flat, monkeypat
             return known(self, encoded, stage)
 
         monkeypatch.setattr(kind, "valued", slow)
-        told = decided(client, **WITHIN)
-        assert (told["stepped_back"], told["probability"]) == ("late", 1.0)
-        assert "did not answer within 0.05 s" in told["reason"]
+        answer = decided(client, **WITHIN)
+        assert (answer["stepped_back"], answer["probability"]) == ("late", 1.0)
+        assert "did not answer within 0.05 s" in answer["reason"]
 
 
 def test_a_policy_that_hangs_is_asked_no_more_until_it_answers_or_another_is_read(flat, monkeypatch):
@@ -165,9 +165,9 @@ def test_a_policy_that_hangs_is_asked_no_more_until_it_answers_or_another_is_rea
     with client_of(flat, served={"limit_s": 0.01}) as client:
         with monkeypatch.context() as patched:
             patched.setattr(type(read_policy(flat).policy), "valued", hanging)
-            told = [decided(client, **WITHIN) for _ in range(MOST_UNANSWERED + 5)]
-        assert {one["stepped_back"] for one in told} == {"late"}
-        assert "has not yet answered 8 earlier questions" in told[-1]["reason"]
+            answer = [decided(client, **WITHIN) for _ in range(MOST_UNANSWERED + 5)]
+        assert {one["stepped_back"] for one in answer} == {"late"}
+        assert "has not yet answered 8 earlier questions" in answer[-1]["reason"]
         assert all(thread.daemon for thread in asked)
         client.post("/reload").raise_for_status()
         assert "earlier questions" not in decided(client, **WITHIN)["reason"]
@@ -177,11 +177,11 @@ def test_a_policy_that_hangs_is_asked_no_more_until_it_answers_or_another_is_rea
 def test_a_new_category_is_outside_the_logs(tmp_path):
     logs = coloured()
     with client_of(written(tmp_path / "policy", logs, ["x1", "colour"])) as client:
-        told = decided(client, x1=0.1, colour="mauve")
-        assert (told["action"], told["stepped_back"]) == (usual(logs, 1), "out-of-range")
-        assert "colour is 'mauve', which does not occur in the logs." in told["reason"]
-        told = decided(client, x1=0.1, colour="Red")
-        assert "colour is 'Red', which does not occur in the logs; they have 'red'." in told["reason"]
+        answer = decided(client, x1=0.1, colour="mauve")
+        assert (answer["action"], answer["stepped_back"]) == (usual(logs, 1), "out-of-range")
+        assert "colour is 'mauve', which does not occur in the logs." in answer["reason"]
+        answer = decided(client, x1=0.1, colour="Red")
+        assert "colour is 'Red', which does not occur in the logs; they have 'red'." in answer["reason"]
         assert "'x1'" in refused(client.post("/decide", json={"colour": "mauve"}), 422)
 
 
@@ -203,11 +203,11 @@ def test_the_log_says_where_the_rule_decided_and_is_learned_from(flat, tmp_path)
                 decided(client, x1=float(3.0 * rng.normal()), x2=int(rng.integers(3)))
                 client.post("/reward", json={"reward": float(rng.normal())})
             client.post("/end", json={"ending": "finished"})
-        told = client.get("/health").json()["rule"]
+        answer = client.get("/health").json()["rule"]
     logs = read_logs(tmp_path / "logs")
     stages = logs.stages
     counts = stages["stepped_back"].value_counts().to_dict()
-    assert counts == told["by"]
+    assert counts == answer["by"]
     assert counts["beyond-horizon"] == 40
     assert (stages.loc[stages["stepped_back"].notna(), "probability"] == 1.0).all()
     assert (stages.loc[stages["stepped_back"].isna(), "probability"] < 1.0).all()
@@ -226,13 +226,15 @@ def test_what_was_served_is_evaluated_with_the_rules_decisions(flat, tmp_path):
             # Some go on beyond the horizon.
             for stage in range(1, 3 + trajectory % 2):
                 is_far = rng.random() < 0.3
-                told = decided(client, x1=float(rng.uniform(-1.0, 1.0)) + 9.0 * is_far, x2=int(rng.integers(3)))
-                assert ("stepped_back" in told) == (is_far or stage == 3)
-                client.post("/reward", json={"reward": float(rng.random()) + is_far * (told["action"] != "A")})
+                answer = decided(client, x1=float(rng.uniform(-1.0, 1.0)) + 9.0 * is_far, x2=int(rng.integers(3)))
+                assert ("stepped_back" in answer) == (is_far or stage == 3)
+                client.post("/reward", json={"reward": float(rng.random()) + is_far * (answer["action"] != "A")})
             client.post("/end", json={"ending": "finished"})
     stages = read_logs(tmp_path / "logs").stages
-    told = CliRunner().invoke(evaluate, [str(flat), "--logs", str(tmp_path / "logs"), "--json"], catch_exceptions=False)
-    report = json.loads(told.stdout)
+    answer = CliRunner().invoke(
+        evaluate, [str(flat), "--logs", str(tmp_path / "logs"), "--json"], catch_exceptions=False
+    )
+    report = json.loads(answer.stdout)
     # The policy and its rule made this log, so what they earned is what they are worth.
     value = report["doubly_robust"]["value"]
     assert value == pytest.approx(stages["reward"].sum() / 60)
@@ -253,9 +255,9 @@ def test_a_folder_of_before_refuses_what_it_did(flat, monkeypatch):
 
 def test_of_tables_the_trajectory_ends(tables, objects):
     with client_of(tables, of_tables=True) as client:
-        told = decided(client, objects=objects, stage=9)
+        answer = decided(client, objects=objects, stage=9)
     wanted = {"action": "FINISH", "verb": "FINISH", "object": None, "stepped_back": "beyond-horizon"}
-    assert {name: told[name] for name in wanted} == wanted
+    assert {name: answer[name] for name in wanted} == wanted
 
 
 def test_a_policy_keeps_how_often_its_log_took_each_action_in_each_stage_also_of_a_log_in_parts(flat, logs):

@@ -177,7 +177,7 @@ def test_nor_does_a_kill_between_two_lines_of_the_log(flat, tmp_path, monkeypatc
     check(side, did)
 
 
-def test_the_action_is_there_before_its_number_and_how_it_stands_is_told(side):
+def test_the_action_is_there_before_its_number_and_how_it_stands_is_reported(side):
     controller = Played()
     assert side.look(controller).state == "Ready"
     controller.ask(1, {"x1": 0.1, "x2": 1})
@@ -192,7 +192,7 @@ def test_the_action_is_there_before_its_number_and_how_it_stands_is_told(side):
 
 
 @pytest.mark.parametrize(
-    ("doubts", "values", "told"),
+    ("doubts", "values", "message"),
     [
         ({"covariates.x1": "has the quality BadSensorFailure"}, {}, "x1 has the quality BadSensorFailure"),
         ({"covariates.x2": "is 7 s old, and 2 s are allowed"}, {}, "x2 is 7 s old, and 2 s are allowed"),
@@ -206,13 +206,13 @@ def test_the_action_is_there_before_its_number_and_how_it_stands_is_told(side):
         ({}, {"ending": 1}, 'ending is 1, not text; give "", "finished", or what cut the trajectory'),
     ],
 )
-def test_what_is_doubtful_is_not_acted_on_until_it_is_good_and_both_are_told_once(side, doubts, values, told):
+def test_what_is_doubtful_is_not_acted_on_until_it_is_good_and_both_are_reported_once(side, doubts, values, message):
     controller = asking()
     good, controller.values, controller.doubts = controller.values, {**controller.values, **values}, doubts
     for _ in range(2):
         facts = side.look(controller)
         assert facts.state == controller.values["state"] == "Error"
-        assert told in facts.error
+        assert message in facts.error
         assert controller.values["error"] == facts.error
     assert side.lines == [f"{URL}: no decision is written: {facts.error}"]
     assert all("state" in written for written in controller.written)
@@ -289,7 +289,7 @@ def test_a_controller_that_lost_its_numbers_begins_a_trajectory_and_the_one_befo
     assert set(logs.trajectories["cause"]) == {REQUESTS_LOST}
 
 
-def test_a_second_halfseen_that_answers_the_same_controller_is_told(side):
+def test_a_second_halfseen_that_answers_the_same_controller_is_reported(side):
     controller, state = Played(request=40, decision=40), {"x1": 0.1, "x2": 1}
     assert side.look(controller).error is None
     controller.ask(1, state)
@@ -323,7 +323,7 @@ def test_a_trajectory_that_another_policy_began_is_cut_at_a_restart(flat, tmp_pa
     assert side.logs().trajectories["cause"].tolist() == [REQUESTS_LOST]
 
 
-def test_what_goes_wrong_in_halfseen_is_told_and_the_wire_stays(side, monkeypatch, capsys):
+def test_what_goes_wrong_in_halfseen_is_reported_and_the_wire_stays(side, monkeypatch, capsys):
     controller = asking()
 
     async def broken(look):
@@ -340,9 +340,9 @@ def test_http_tells_how_the_wire_stands_and_decides_nothing_beside_it(side):
     with TestClient(app_of(side.wire.served, wire=side.wire), base_url="http://127.0.0.1") as client:
         for path in ("/decide", "/reward", "/end"):
             assert "the controller at opc.tcp://" in refused(client.post(path, json={}), 409)
-        told = client.get("/health").json()
+        answer = client.get("/health").json()
         assert client.get("/openapi.json").status_code == 200
-    assert (told["wire"]["url"], told["wire"]["state"], told["status"]) == (URL, "Preoperational", "not deciding")
+    assert (answer["wire"]["url"], answer["wire"]["state"], answer["status"]) == (URL, "Preoperational", "not deciding")
 
 
 @pytest.mark.parametrize(
@@ -356,7 +356,7 @@ def test_health_is_ok_while_the_wire_is(side, state, error, status):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (("[reads]", "[reads]\nrobot = 'R'"), "reads.robot: it is unknown"),
         (("stage =", "# stage ="), "reads.stage: it is missing"),
@@ -372,14 +372,14 @@ def test_health_is_ok_while_the_wire_is(side, state, error, status):
         ),
     ],
 )
-def test_a_mapping_that_does_not_fit_is_refused_in_one_line(flat, tmp_path, change, told):
+def test_a_mapping_that_does_not_fit_is_refused_in_one_line(flat, tmp_path, change, message):
     stored, file = Served(flat).service.stored, tmp_path / "cell.toml"
     text = template_of(stored)
     assert text.count(change[0]) == 1
     file.write_text(text.replace(*change))
     with pytest.raises(ArgumentError) as refusal:
         read_mapping(file, stored)
-    assert told in str(refusal.value)
+    assert message in str(refusal.value)
     assert "\n" not in str(refusal.value)
 
 

@@ -111,7 +111,7 @@ def test_values_come_with_doubts_and_go_with_types():
             assert type(seen.covariates["x1"]) is float
             assert (seen.ending, seen.whole("request"), seen.number("reward")) == ("", 1, 0.0)
             codes = ua.StatusCodes
-            for more, told in (
+            for more, message in (
                 (
                     {"age_s": 3600.0},
                     r"x1 is 3(599|6\d\d)\.\d s old, but only 600 s are allowed",
@@ -123,7 +123,7 @@ def test_values_come_with_doubts_and_go_with_types():
             ):
                 await put(nodes["x1"], more.pop("value", 0.1), TYPES["x1"], **more)
                 seen = await controller.read()
-                with pytest.raises(Refusal, match=told):
+                with pytest.raises(Refusal, match=message):
                     seen["covariates.x1"]
             await controller.write({"action": 8, "decision": 3, "error": "is mapped to nothing"})
             assert [await nodes[name].read_value() for name in ("action", "decision")] == [8, 3]
@@ -141,9 +141,9 @@ def test_values_come_with_doubts_and_go_with_types():
     asyncio.run(main())
 
 
-def test_what_is_not_there_is_told(flat):
+def test_what_is_not_there_is_reported(flat):
     async def main():
-        told = []
+        result = []
         async with controller_of() as (_, url):
             for changes, line in (
                 ({"covariates": {"x1": "Cell/x9"}}, "covariates.x1: the controller has no 'Cell/x9' below Objects"),
@@ -152,17 +152,17 @@ def test_what_is_not_there_is_told(flat):
             ):
                 with pytest.raises(ArgumentError, match=line):
                     await Wire(Served(flat), url, msgspec.structs.replace(MAPPING, **changes)).check()
-        await Wire(Served(flat), url, MAPPING, tell=told.append).check()
-        assert told[0].startswith(f"{url}: no answer")
+        await Wire(Served(flat), url, MAPPING, tell=result.append).check()
+        assert result[0].startswith(f"{url}: no answer")
 
     asyncio.run(main())
 
 
 def test_a_controller_that_goes_and_comes_again_is_found_again(flat, tmp_path):
-    told = []
+    result = []
 
     async def main(trajectories):
-        wire = Wire(Served(flat, Answering(trajectories=trajectories)), "", MAPPING, tell=told.append)
+        wire = Wire(Served(flat, Answering(trajectories=trajectories)), "", MAPPING, tell=result.append)
         async with controller_of() as (nodes, wire.url):
             await put_all(nodes)
             running = asyncio.create_task(wire.run())
@@ -184,8 +184,8 @@ def test_a_controller_that_goes_and_comes_again_is_found_again(flat, tmp_path):
     logs = read_logs(tmp_path / "logs")
     assert logs.stages["reward"].tolist() == [1.5, 0.0]
     assert logs.trajectories["ending"].tolist() == ["finished"]
-    assert any("no decision is written" in line for line in told)
-    assert told[-1].endswith("decisions are written again")
+    assert any("no decision is written" in line for line in result)
+    assert result[-1].endswith("decisions are written again")
 
 
 class OneUser(UserManager):

@@ -203,7 +203,7 @@ def map_table(gain_share, design=None, **options):
     return table_of(map_pieces(gain_share, design, **options), design)
 
 
-def map_told(table, setting=OF_MAP):
+def map_section(table, setting=OF_MAP):
     return Clutter().section(setting, {"map": table})
 
 

@@ -195,19 +195,19 @@ def test_without_a_law_it_says_that_there_are_no_attempts():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("gain", "told"),
+    ("gain", "message"),
     [
         (0.01, "better than the Beta mean at every size, from 25 to 600 tables"),
         (0.0, "neither clearly better nor worse than the Beta mean at any size, from 25 to 600 tables"),
         (-0.01, "worse than the Beta mean at every size, from 25 to 600 tables"),
     ],
 )
-def test_the_answer_is_told_either_way(gain, told):
+def test_the_answer_is_reported_either_way(gain, message):
     setting, design = Setting(()), Attempts()
     section = design.section(setting, design.tabulate(setting, attempt_pieces(gain)))
     assert section.sentences[0].startswith("On physical attempts (")
-    assert f"the SVM predicts success {told} (" in section.sentences[0]
-    assert section.drawings[0].title == f"On physical attempts, the SVM predicts {told}"
+    assert f"the SVM predicts success {message} (" in section.sentences[0]
+    assert section.drawings[0].title == f"On physical attempts, the SVM predicts {message}"
     assert "1 of 144 fits" in section.drawings[0].caption
     assert "the assumed laws have" in section.sentences[2]
     assert section.num_leading == 3

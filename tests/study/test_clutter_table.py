@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from examples import map_pieces, map_table, map_told, table_of
+from examples import map_pieces, map_section, map_table, table_of
 from fitted_laws import GRASPING, SEEING
 from halfseen.errors import ArgumentError
 from halfseen.study.experiments.clutter import ENOUGH, LEARN, NO_SCALE, UNDECIDED, Clutter, GainShare, levels, verdict
@@ -78,7 +78,7 @@ def test_a_place_without_a_scale_keeps_the_gain_and_the_best_heuristic_is_the_be
 def test_the_factor_that_decides_is_named_with_its_count_and_no_factor_is_blamed_for_another():
     # Learning pays where washing a clean cup is dear.
     of_dear = map_table(lambda place: 0.3 if place.reward_wash_clean == -20 else 0.0)
-    section = map_told(of_dear)
+    section = map_section(of_dear)
     title, (sentence,) = section.drawings[0].title, section.sentences
     dear = "washing a clean cup costs 4 times what a dirty one earns"
     assert title.startswith(
@@ -107,12 +107,12 @@ def test_the_factor_that_decides_is_named_with_its_count_and_no_factor_is_blamed
 )
 def test_levels_in_words(factor, value, words):
     table = map_table(lambda place: 0.3 if getattr(place, factor) == value else 0.0)
-    assert f"most often where {words} (" in map_told(table).drawings[0].title
+    assert f"most often where {words} (" in map_section(table).drawings[0].title
 
 
 def test_the_assumed_laws_are_counted_apart(of_three):
     beside = of_three.head(9).assign(is_assumed=True)
-    alone, both = (map_told(each).drawings[0].title for each in (of_three, pd.concat([of_three, beside])))
+    alone, both = (map_section(each).drawings[0].title for each in (of_three, pd.concat([of_three, beside])))
     num = int((beside["verdict"] == LEARN).sum())
     assert 0 < num < 9
     assert both == f"{alone}; under the assumed laws, these are {num} and {9 - num} of 9"

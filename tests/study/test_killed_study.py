@@ -28,7 +28,7 @@ from halfseen.world.scene import Scene
 class Slow(Experiment):
     most_repetitions = None
     name = "slow"
-    told = "heading = 'Slow'\\nsentences = ['It was slow.']"
+    texts = "heading = 'Slow'\\nsentences = ['It was slow.']"
 
     def prepare(self, setting):
         time.sleep(0.2)
@@ -95,14 +95,14 @@ def workers_of(study: subprocess.Popen[bytes]) -> list[psutil.Process]:
     with contextlib.suppress(psutil.NoSuchProcess):
         for child in psutil.Process(study.pid).children():
             with contextlib.suppress(psutil.NoSuchProcess):
-                told = " ".join(child.cmdline())
-                if "loky" in told and "resource_tracker" not in told:
+                message = " ".join(child.cmdline())
+                if "loky" in message and "resource_tracker" not in message:
                     found.append(child)
     return found
 
 
-def finished(script: Path, folder: Path, *told) -> dict[str, bytes]:
-    study = begun(script, folder, *told)
+def finished(script: Path, folder: Path, *message) -> dict[str, bytes]:
+    study = begun(script, folder, *message)
     with left_to_nobody(study):
         _, said = study.communicate()
     assert study.returncode == 0, said.decode()

@@ -68,7 +68,7 @@ def test_figures_are_whole_and_the_same_again(experiment):
         (-2.0, "not supported", "earns less than the strongest planner"),
     ],
 )
-def test_the_first_sentence_compares_on_the_same_episodes_and_every_hypothesis_is_told(lead, verdict, title):
+def test_the_first_sentence_compares_on_the_same_episodes_and_every_hypothesis_is_reported(lead, verdict, title):
     _, _, tables, section = example(REWARD, 30, lead=lead)
     row = tables["table1"].query("baseline == 'planner-512' and measure == 'reward'").iloc[0]
     assert row["effect"] == pytest.approx(row["censored_q"] - row["other"])
@@ -77,13 +77,13 @@ def test_the_first_sentence_compares_on_the_same_episodes_and_every_hypothesis_i
     assert f"POMDP planner, 512 simulations): {verdict} (" in first
     assert f"{row['censored_q']:.2f} against {row['other']:.2f} a trajectory on the same 300 episodes" in first
     assert title in section.drawings[0].title
-    told = next(each for each in section.sentences if each.startswith("Of the hypotheses")).split("; that")[0]
+    result = next(each for each in section.sentences if each.startswith("Of the hypotheses")).split("; that")[0]
     rows = tables["table1"].query("measure == 'reward'")
     is_supported = rows["supported"].astype(bool)
-    assert f"earns more is supported against {is_supported.sum()} of {len(REWARD.baseline_names)}" in told
-    assert all(REWARD.contenders[name].label in told for name in rows["baseline"][~is_supported])
+    assert f"earns more is supported against {is_supported.sum()} of {len(REWARD.baseline_names)}" in result
+    assert all(REWARD.contenders[name].label in result for name in rows["baseline"][~is_supported])
     if (num_worse := int((rows["effect_high"] < 0).sum())) > 0:
-        assert f"not supported against {num_worse} (" in told
+        assert f"not supported against {num_worse} (" in result
     figure1 = next(each for each in section.drawings if each.name == "figure1")
     with style():
         words = [text.get_text() for text in texts(figure1.draw(""))]
@@ -134,10 +134,10 @@ def test_what_is_made_of_logs_stands_above_the_strongest_heuristic_on_the_same_e
         assert mean["mean_reward"] == pytest.approx(np.mean(of_size))
     best = row_of(figure1, policy="history-penalty")
     assert (best["gain"], best["gain_se"]) == (0.0, 0.0)
-    told = next(each for each in section.sentences if each.startswith("Above the strongest heuristic"))
+    result = next(each for each in section.sentences if each.startswith("Above the strongest heuristic"))
     own = row_of(figure1, policy="censored_q", num_trajectories=25, cut_share=0.5)["gain"]
-    assert f"the learned policy earns {own:.2f} (".replace("-", "−") in told
-    assert all(words in told for words in ("Q₁ with laws fitted", "linear eq. 3 without laws", "with fitted laws"))
+    assert f"the learned policy earns {own:.2f} (".replace("-", "−") in result
+    assert all(words in result for words in ("Q₁ with laws fitted", "linear eq. 3 without laws", "with fitted laws"))
     assert "contradicted the laws fitted to it" in section.listings[-1].caption
     assert "in 17\u00a0% of all cases, at a single size and proportion in at most" in section.listings[-1].caption
 

@@ -150,9 +150,9 @@ def test_under_the_law_of_a_cell_everything_runs_and_says_so(tmp_path):
     )
     results = run_study(setting, tmp_path, OF_LAW, workers=Workers(1))
     assert "are estimated, not assumed" in results.answer[-1]
-    told = pd.read_csv(tmp_path / "map.csv")
-    assert told["is_assumed"].tolist() == [False] * 4 + [True] * 2
-    assert sorted(set(told["labels"])) == pytest.approx(sorted({0.3, law.seeing.facing}))
+    result = pd.read_csv(tmp_path / "map.csv")
+    assert result["is_assumed"].tolist() == [False] * 4 + [True] * 2
+    assert sorted(set(result["labels"])) == pytest.approx(sorted({0.3, law.seeing.facing}))
     assert (pd.read_csv(tmp_path / "regret.csv")["regret"] > -1e-6).all()
     assert json.loads((tmp_path / "study.json").read_text())["scenes"][0]["grip"][0] == -2
 

@@ -27,7 +27,7 @@ class Coin(Experiment):
     num_throws: int = 50
     most_repetitions: int | None = None
     name: ClassVar[str] = "coin"
-    told: ClassVar[str] = """
+    texts: ClassVar[str] = """
         heading = "Is the coin fair?"
         sentences = ["{{ fair.sentence }}"]
         [claims.fair]

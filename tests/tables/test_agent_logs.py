@@ -184,7 +184,7 @@ def test_an_attempt_that_never_left_home_is_nobodys():
     assert failures(agent_view(Logs(plain.stages, plain.trajectories, objects), 0), 0) == [0, 0, 1]
 
 
-def test_what_cannot_be_told_is_refused(team_logs):
+def test_what_cannot_be_attributed_is_refused(team_logs):
     with pytest.raises(ArgumentError, match="robot is 7, which decides in no stage"):
         agent_view(team_logs, 7)
     without = Logs(team_logs.stages.drop(columns="0_reward"), team_logs.trajectories, team_logs.objects)
@@ -244,16 +244,16 @@ def test_what_it_no_longer_reaches_is_lost_to_it_and_comes_back(team_logs):
         trajectory: rows["stage"].tolist() for trajectory, rows in stages[stages["robot"] == 0].groupby("trajectory")
     }
     waits = set(stages.loc[stages["action"] == "WAIT", ["trajectory", "stage"]].itertuples(index=False, name=None))
-    told = {}
+    result = {}
     for trajectory, rows in own.objects.groupby("trajectory"):
         of_team = [stage for stage in decided[trajectory] if (trajectory, stage) not in waits]
         own_stages = own.stages.loc[own.stages["trajectory"] == trajectory, "action"]
         if own_stages.isin(["WASH", "LIFT"]).all():
             for row in rows.itertuples():
-                told[trajectory, of_team[row.stage - 1], row.object] = row.location
-    assert len(told) > 100
-    assert told == {key: expected[key] for key in told}
-    assert {"LOST", "TABLE", "DISHWASHER"} == set(told.values())
+                result[trajectory, of_team[row.stage - 1], row.object] = row.location
+    assert len(result) > 100
+    assert result == {key: expected[key] for key in result}
+    assert {"LOST", "TABLE", "DISHWASHER"} == set(result.values())
     back = own.objects.groupby(["trajectory", "object"])["location"].agg(list)
     assert any("LOST" in each and "TABLE" in each[each.index("LOST") :] for each in back)
     assert (

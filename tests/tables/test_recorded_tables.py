@@ -76,10 +76,10 @@ def test_one_state_looks_as_it_does_among_others(name):
 def test_logs_are_encoded_as_they_were(name, task, log, horizon):
     encoded, words = task.encode(read_logs(log), horizon), WORDS[f"encoded/{name}"]
     trajectory, stage = TABLES[f"encoded/{name}/at"].T
-    for what, told in words.items():
+    for what, result in words.items():
         value = getattr(encoded, what)
-        assert list(value.shape) == told["shape"]
-        assert value.sum() == pytest.approx(told["sum"], rel=1e-6)
+        assert list(value.shape) == result["shape"]
+        assert value.sum() == pytest.approx(result["sum"], rel=1e-6)
         np.testing.assert_allclose(
             value[trajectory, stage], TABLES[f"encoded/{name}/{what}"], rtol=1e-5, atol=3e-6, err_msg=what
         )
@@ -88,10 +88,10 @@ def test_logs_are_encoded_as_they_were(name, task, log, horizon):
 
 def test_laws_are_fitted_as_they_were():
     log = read_logs(TABLE_LOG)
-    fitted, words, told = fit_world(log, WorldConfig()), WORDS["fit_world"], evidence_of(log, WorldConfig())
+    fitted, words, labels = fit_world(log, WorldConfig()), WORDS["fit_world"], evidence_of(log, WorldConfig())
     assert fitted.dirty_share == pytest.approx(words["dirty_share"], rel=1e-9)
     # What was recorded knew nothing of the recorder's own law.
-    by_labels = Independent(told.labels, told.dirty_share)
+    by_labels = Independent(labels.labels, labels.dirty_share)
     seeing = by_labels.law(by_labels.fitted(by_labels.prior))
     for law, of in (("grasping", fitted.grasping), ("seeing", seeing)):
         numbers = {name: value for name, value in words[law].items() if name != "family"}
@@ -104,11 +104,11 @@ def test_laws_are_fitted_as_they_were():
 def test_the_view_of_an_agent_is_what_it_was(robot):
     view, words = agent_view(read_logs(TEAM_LOG), robot), WORDS[f"alone/{robot}"]
     for name in ("stages", "trajectories", "objects"):
-        frame, told = getattr(view, name), words[name]
+        frame, result = getattr(view, name), words[name]
         text = frame.to_csv(index=False, float_format="%.9g")
-        assert list(frame.columns) == told["columns"]
-        assert text.splitlines()[1:6] == told["head"]
-        assert hashlib.sha256(text.encode()).hexdigest() == told["sha256"], name
+        assert list(frame.columns) == result["columns"]
+        assert text.splitlines()[1:6] == result["head"]
+        assert hashlib.sha256(text.encode()).hexdigest() == result["sha256"], name
 
 
 @pytest.mark.slow

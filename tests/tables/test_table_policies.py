@@ -95,11 +95,11 @@ def dropped(logs):
     return stages[stages["action"] == "DROP"].iloc[0], {"stages": stages}
 
 
-@pytest.mark.parametrize(("spoil", "told"), [(gone, ".* is not on the table"), (dropped, "action 'DROP'")])
-def test_an_action_that_cannot_be_is_named(logs, spoil, told):
+@pytest.mark.parametrize(("spoil", "message"), [(gone, ".* is not on the table"), (dropped, "action 'DROP'")])
+def test_an_action_that_cannot_be_is_named(logs, spoil, message):
     row, changed = spoil(logs)
     tables = {"stages": logs.stages, "trajectories": logs.trajectories, "objects": logs.objects} | changed
-    with pytest.raises(LogError, match=f"trajectory {row['trajectory']}, stage {row['stage']}: {told}"):
+    with pytest.raises(LogError, match=f"trajectory {row['trajectory']}, stage {row['stage']}: {message}"):
         CensoredQLearner.for_table(horizon=10, laws=None).fit(Logs(**tables))
 
 
@@ -136,7 +136,7 @@ def test_a_verb_that_was_never_completed_is_never_taken(scene, tmp_path):
     played = play(CONFIG, pad_scenes([scene]), Hasty(), random.key_of(3), 60)
     logs = to_logs(cut(played, 0.0, "independent", np.random.default_rng(0)), "independent", [scene])
     learner = CensoredQLearner.for_table(CONFIG.horizon).fit(logs)
-    assert [told.split()[0] for told in learner.unseen_] == ["LIFT"]
+    assert [result.split()[0] for result in learner.unseen_] == ["LIFT"]
     write_policy(learner, logs, tmp_path / "policy")
     for policy in (learner.policy_, read_policy(tmp_path / "policy").policy):
         assert np.asarray(policy.is_seen).tolist() == [True, True, False]

@@ -90,12 +90,12 @@ def truth():
 @pytest.mark.slow
 def test_a_log_tells_what_another_rule_of_the_team_would_earn(truth):
     logs = log_of(ExploringPolicy(RULE, 0.4), 1_000, 0.2, seed=1)
-    told = evaluate(RULE, logs, against=["logging", UniformPolicy()], censoring="kaplan-meier")
-    for estimate in (told.importance_sampling, told.doubly_robust):
+    result = evaluate(RULE, logs, against=["logging", UniformPolicy()], censoring="kaplan-meier")
+    for estimate in (result.importance_sampling, result.doubly_robust):
         error = (estimate.high - estimate.low) / (2.0 * 1.96)
         assert error < 1.0
         assert abs(estimate.value - truth) < 3.5 * error
-    assert told.verdict == "better"
+    assert result.verdict == "better"
 
 
 @pytest.mark.slow

@@ -94,7 +94,7 @@ def test_a_base_that_is_given_is_improved_upon(logs):
 
 
 @pytest.mark.parametrize(
-    ("base", "error", "told"),
+    ("base", "error", "message"),
     [
         ("each", ArgumentError, "base is 'each'; give None, 'auto' or a policy of a team"),
         (RULE, PolicyError, "GreedyPolicy decides for one robot"),
@@ -102,8 +102,8 @@ def test_a_base_that_is_given_is_improved_upon(logs):
         (ExploringPolicy(TeamOfRules(RULE)), ArgumentError, "ExploringPolicy draws its actions"),
     ],
 )
-def test_a_base_that_is_none_of_this_team_is_refused(logs, base, error, told):
-    with pytest.raises(error, match=told):
+def test_a_base_that_is_none_of_this_team_is_refused(logs, base, error, message):
+    with pytest.raises(error, match=message):
         CensoredQLearner.for_team(2, horizon=5, base=base).fit(logs)
 
 
@@ -112,7 +112,9 @@ def test_q_is_of_the_best_policy_where_the_log_does_not_tell_each_robots_reward(
     some = Logs(logs.stages.drop(columns="1_reward"), logs.trajectories, logs.objects)
     learner = CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(some)
     assert learner.policy_.base is None
-    assert any("policies of single robots cannot be learned: stages: there is no" in told for told in learner.chosen_)
+    assert any(
+        "policies of single robots cannot be learned: stages: there is no" in result for result in learner.chosen_
+    )
 
 
 @pytest.mark.slow
@@ -122,14 +124,14 @@ def test_what_was_never_seen_completed_has_no_value():
     kept = logs.stages.groupby("trajectory")["action"].transform(lambda actions: not (actions == Verb.LIFT.name).any())
     some = logs.select(logs.stages.loc[kept, "trajectory"].unique())
     learner = CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(some)
-    assert [told.split(" was ")[0] for told in learner.unseen_] == ["LIFT"]
-    played_anew = play(TEAM, LAYOUT, learner.policy_, random.key_of(1), 100)
-    verbs = ActionSpace(NUM_OBJECTS).verb(played_anew.action)[played_anew.is_taken]
+    assert [result.split(" was ")[0] for result in learner.unseen_] == ["LIFT"]
+    replayed = play(TEAM, LAYOUT, learner.policy_, random.key_of(1), 100)
+    verbs = ActionSpace(NUM_OBJECTS).verb(replayed.action)[replayed.is_taken]
     assert not (verbs == Verb.LIFT).any()
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ((0,), "num_robots is 0; give a whole number of at least 1"),
         ((2.5,), "num_robots is 2.5; give a whole number"),
@@ -140,8 +142,8 @@ def test_what_was_never_seen_completed_has_no_value():
         ((2, 0), "horizon is 0"),
     ],
 )
-def test_a_team_has_a_whole_number_of_robots_and_of_their_decisions(given, told):
-    with pytest.raises((ArgumentError, TypeCheckError), match=f"{told}|Type-check error"):
+def test_a_team_has_a_whole_number_of_robots_and_of_their_decisions(given, message):
+    with pytest.raises((ArgumentError, TypeCheckError), match=f"{message}|Type-check error"):
         CensoredQLearner.for_team(*given)
 
 
@@ -158,15 +160,15 @@ def test_each_for_itself_does_what_is_possible_and_keeps_its_own_policy():
 
 
 @pytest.mark.parametrize(
-    ("learner", "told"),
+    ("learner", "message"),
     [
         (CensoredQLearner.for_team(3, horizon=5), "the log has 2 robots, but num_robots is 3"),
         (CensoredQLearner.for_table(10), "the log has 2 robots, but a table policy decides for one; learn with"),
     ],
     ids=["of another team", "of one robot"],
 )
-def test_a_log_of_another_number_of_robots_is_refused(logs, learner, told):
-    with pytest.raises(LogError, match=told):
+def test_a_log_of_another_number_of_robots_is_refused(logs, learner, message):
+    with pytest.raises(LogError, match=message):
         learner.fit(logs)
 
 

@@ -117,7 +117,7 @@ def rated(value, reach):
     return Rate(estimate(3600.0 * value, 3600.0 * reach), estimate(13.0, 1.0))
 
 
-def test_what_is_earned_is_told_of_today_and_in_an_hour():
+def test_what_is_earned_is_reported_of_today_and_in_an_hour():
     per_hour = PerHour(rated(0.1, 0.02), rated(0.05, 0.01))
     known = evaluation(reward_unit="parts", share=estimate(1.5, 0.2), per_hour=per_hour)
     said = standing(known).replace("\u00a0", " ")
@@ -186,7 +186,7 @@ def test_the_answer_names_the_baseline_once(verdict):
     assert remedy == "If it is 1, twice as many would tell."
 
 
-def test_the_page_stands_alone_and_names_of_users_are_told_as_they_are_and_never_run(page):
+def test_the_page_stands_alone_and_names_of_users_are_reported_as_they_are_and_never_run(page):
     read = Reader(page)
     inner = [link for link in read.links if not link.startswith("data:image/png;base64,")]
     assert all(link.startswith("#") for link in inner)
@@ -211,14 +211,14 @@ def test_the_same_findings_are_the_same_bytes_and_what_is_no_number_is_a_dash(fi
 
 
 def test_watched_is_kaplan_meier_with_the_numbers_still_watched_and_a_long_log_becomes_a_small_drawing():
-    told = follow_up(one_stage([(1.0, True), (2.0, False), (2.0, True), (6.0, True)]))
-    assert told.time_s.tolist() == [0.0, 2.0, 6.0]
-    assert told.survival.tolist() == [1.0, 0.5, 0.5]
-    assert told.risk_time_s.tolist() == [0, 1, 2, 3, 4, 5, 6]
-    assert told.num_watched.tolist() == [4, 4, 3, 1, 1, 1, 1]
-    ends_s = {name: each.tolist() for name, each in told.ends_s.items()}
+    result = follow_up(one_stage([(1.0, True), (2.0, False), (2.0, True), (6.0, True)]))
+    assert result.time_s.tolist() == [0.0, 2.0, 6.0]
+    assert result.survival.tolist() == [1.0, 0.5, 0.5]
+    assert result.risk_time_s.tolist() == [0, 1, 2, 3, 4, 5, 6]
+    assert result.num_watched.tolist() == [4, 4, 3, 1, 1, 1, 1]
+    ends_s = {name: each.tolist() for name, each in result.ends_s.items()}
     assert ends_s == {"finished": [1.0, 2.0, 6.0], "cut: unknown": [2.0]}
-    long = replace(told, ends_s={"finished": np.linspace(0.0, 5.0, 50 * MOST_MARKERS)})
+    long = replace(result, ends_s={"finished": np.linspace(0.0, 5.0, 50 * MOST_MARKERS)})
     drawn = inline_svg(lambda: draw_follow_up(long), "f", "t")
     assert "data:image/png;base64" in drawn
     assert len(drawn) < 300_000
@@ -226,12 +226,12 @@ def test_watched_is_kaplan_meier_with_the_numbers_still_watched_and_a_long_log_b
 
 def test_a_log_without_cuts_says_so_and_assumes_nothing_of_them(stored, monkeypatch):
     monkeypatch.setattr(page_module, "inline_svg", lambda *_: Markup("<svg></svg>"))
-    told = found(stored, hostile_log(cut_after_s=1e6))
-    page = page_of(told, "x")
+    result = found(stored, hostile_log(cut_after_s=1e6))
+    page = page_of(result, "x")
     assert "No trajectory was cut: each was observed to its end." in page
     assert "explains the cuts" not in page
     assert "learned from other logs" in page
-    assert told.policy.curves[0].low is None
+    assert result.policy.curves[0].low is None
 
 
 def test_choices_are_shares_of_the_same_states(stored, logs):
@@ -258,14 +258,14 @@ def test_curves_follow_q_with_the_rest_at_its_median_and_within_bands(findings, 
 
 
 @pytest.mark.slow
-def test_a_policy_of_tables_is_told_by_its_verbs(tmp_path):
+def test_a_policy_of_tables_is_reported_by_its_verbs(tmp_path):
     logs = table_log()
-    told = found(kept(CensoredQLearner.for_table(3, reg=0.1), logs, tmp_path / "policy"), logs)
-    assert (told.policy.curves, told.policy.maps) == ([], [])
-    assert set(told.policy.choices[0]["logged"]) == {"FINISH", "WASH", "LIFT"}
-    assert sum(told.policy.choices[0]["logged"].values()) == pytest.approx(1.0)
-    read = Reader(page_of(told, "x"))
-    assert read.tags.count("svg") == 7 + len(told.policy.table_map.share if told.policy.table_map else ())
+    result = found(kept(CensoredQLearner.for_table(3, reg=0.1), logs, tmp_path / "policy"), logs)
+    assert (result.policy.curves, result.policy.maps) == ([], [])
+    assert set(result.policy.choices[0]["logged"]) == {"FINISH", "WASH", "LIFT"}
+    assert sum(result.policy.choices[0]["logged"].values()) == pytest.approx(1.0)
+    read = Reader(page_of(result, "x"))
+    assert read.tags.count("svg") == 7 + len(result.policy.table_map.share if result.policy.table_map else ())
     assert "who hides whom" in "".join(read.words)
 
 

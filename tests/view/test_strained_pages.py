@@ -74,10 +74,10 @@ def curve(q, taken):
 def test_the_title_of_q_says_how_often_the_policy_takes_the_highest_line_that_is_drawn():
     q, both = {"a": [1.0, 2.0], "b": [2.0, 1.0]}, ["a", "b"]
     assert curves_title([curve(q, np.array(["b", "a"]))], both).endswith("the policy takes the highest line")
-    told = curves_title([curve(q, np.array(["b", "b"]))], both).replace("\u00a0", " ")
-    assert told.endswith("in 50 % of these states, elsewhere one that the logs support better")
-    told = curves_title([curve(q, np.array(["b", "b"]))], ["a"]).replace("\u00a0", " ")
-    assert told.endswith("in 0 % of these states, elsewhere one that the logs support better or is not drawn")
+    result = curves_title([curve(q, np.array(["b", "b"]))], both).replace("\u00a0", " ")
+    assert result.endswith("in 50 % of these states, elsewhere one that the logs support better")
+    result = curves_title([curve(q, np.array(["b", "b"]))], ["a"]).replace("\u00a0", " ")
+    assert result.endswith("in 0 % of these states, elsewhere one that the logs support better or is not drawn")
 
 
 def test_a_count_is_not_left_out_where_its_name_is_long():
@@ -118,15 +118,15 @@ def test_rewards_an_hour_have_a_power_of_ten_in_both_numbers():
     from halfseen.evaluation.evaluation import PerHour, Rate
 
     rates = [Rate(estimate(each, 0.05e12), estimate(13.0, 1.0)) for each in (2.1e12, 1.8e12)]
-    told = standing(evaluation(reward_unit="€", per_hour=PerHour(*rates))).replace("\u00a0", " ")
-    assert "2.10e+12 € an hour (2.05e+12 to 2.15e+12), against 1.80e+12 today" in told
+    result = standing(evaluation(reward_unit="€", per_hour=PerHour(*rates))).replace("\u00a0", " ")
+    assert "2.10e+12 € an hour (2.05e+12 to 2.15e+12), against 1.80e+12 today" in result
 
 
 def test_a_single_cause_is_named_as_the_cause_of_all():
     shown = Timeline(2, (), np.zeros(0), pd.DataFrame())
     log = {"finishes": {"median_s": 3.0}, "cuts": [{"cause": "operator", "median_s": 2.0}]}
-    told = timeline_title(shown, log).replace("\u00a0", " ")
-    assert told.endswith("half of those that were cut, all by operator, had run for 2.00 s or less")
+    result = timeline_title(shown, log).replace("\u00a0", " ")
+    assert result.endswith("half of those that were cut, all by operator, had run for 2.00 s or less")
 
 
 @pytest.fixture(scope="module")

@@ -50,11 +50,11 @@ def many(num_trajectories, num_stages=2, seed=0):
 def test_rows_are_trajectories_by_how_they_ended_and_then_by_length():
     finished, cut = [([1.0, 4.0], *[None] * 3), ([3.0], *[None] * 3)], [([1.0], 2.0, "operator", "b")]
     others = [([], 0.5, "operator", None), ([1.0], 5.0, "battery", "b")]
-    told = timeline(log_of([finished[0], *cut, finished[1], *others]))
-    groups = [(group.name, group.num_trajectories) for group in told.endings]
+    result = timeline(log_of([finished[0], *cut, finished[1], *others]))
+    groups = [(group.name, group.num_trajectories) for group in result.endings]
     assert groups == [("finished", 2), ("cut: operator", 2), ("cut: battery", 1)]
-    assert told.end_s.tolist() == [3.0, 4.0, 0.5, 2.0, 5.0]
-    pieces = set(told.stages.itertuples(index=False, name=None))
+    assert result.end_s.tolist() == [3.0, 4.0, 0.5, 2.0, 5.0]
+    pieces = set(result.stages.itertuples(index=False, name=None))
     assert pieces == {
         (0, 0.0, 3.0, "a1", True),
         (1, 0.0, 1.0, "a1", True),
@@ -80,19 +80,19 @@ def test_many_trajectories_are_evenly_spaced_ones_of_each_way_to_end():
         pd.concat([logs.stages, rarely.stages.assign(trajectory=2000)]),
         pd.concat([logs.trajectories, rarely.trajectories.assign(trajectory=2000)]),
     )
-    told = timeline(both)
-    assert [group.num_rows for group in told.endings] == [MOST_ROWS, 1]
+    result = timeline(both)
+    assert [group.num_rows for group in result.endings] == [MOST_ROWS, 1]
     ends_s = np.sort(logs.end_s)
-    assert told.end_s[[0, MOST_ROWS - 1]].tolist() == ends_s[[0, -1]].tolist()
-    assert told.end_s[: MOST_ROWS // 2].max() == pytest.approx(np.median(ends_s), abs=0.05)
+    assert result.end_s[[0, MOST_ROWS - 1]].tolist() == ends_s[[0, -1]].tolist()
+    assert result.end_s[: MOST_ROWS // 2].max() == pytest.approx(np.median(ends_s), abs=0.05)
 
 
 @pytest.mark.slow
 def test_a_log_of_many_long_trajectories_is_a_small_drawing_without_names_of_trajectories():
-    told = timeline(many(3000, num_stages=30))
-    colours = action_colours(sorted(set(told.stages["action"])))
-    svg = inline_svg(lambda: draw_timeline(told, colours), "f", "t")
-    assert told.num_rows == MOST_ROWS
+    result = timeline(many(3000, num_stages=30))
+    colours = action_colours(sorted(set(result.stages["action"])))
+    svg = inline_svg(lambda: draw_timeline(result, colours), "f", "t")
+    assert result.num_rows == MOST_ROWS
     assert len(svg) < 500_000
     assert OTHERS in svg
 
@@ -100,8 +100,8 @@ def test_a_log_of_many_long_trajectories_is_a_small_drawing_without_names_of_tra
 def choices(num_actions, counts=(800, 40, 3)):
     share = 1.0 / num_actions
     every = {f"action {k}": share for k in range(num_actions)}
-    told = {"as_logged": 0.5, "policy": every | {"never": 0.0}, "logged": every | {"never": 0.0}}
-    return [{"stage": stage, "num_states": count, **told} for stage, count in enumerate(counts, start=1)]
+    result = {"as_logged": 0.5, "policy": every | {"never": 0.0}, "logged": every | {"never": 0.0}}
+    return [{"stage": stage, "num_states": count, **result} for stage, count in enumerate(counts, start=1)]
 
 
 @pytest.mark.slow
@@ -197,7 +197,7 @@ def test_objects_of_a_log_are_counted_by_what_the_policy_would_do_to_them(monkey
     logs = table_log(num_trajectories=60)
     policy = CensoredQLearner.for_table(3, reg=0.1).fit(logs).policy_
     task = task_of(policy, logs)
-    told = table_map(policy, task, logs)
+    result = table_map(policy, task, logs)
     taken = task.target_probabilities(policy, logs, 3)
     num = {"WASH": 0, "LIFT": 0}
     ids = list(logs.trajectory_ids)
@@ -206,10 +206,10 @@ def test_objects_of_a_log_are_counted_by_what_the_policy_would_do_to_them(monkey
         name = ActionSpace.of_size(len(chances)).names[int(np.argmax(chances))].split()[0]
         num[name] = num.get(name, 0) + 1
     on_table = (logs.objects["location"] == "TABLE").sum()
-    assert told.num_objects.sum() == on_table
-    for verb, share in told.share.items():
-        assert np.nansum(share * told.num_objects) == pytest.approx(num[verb])
-        assert verb in inline_svg(lambda verb=verb: draw_table_map(told, verb), "f", "t")
+    assert result.num_objects.sum() == on_table
+    for verb, share in result.share.items():
+        assert np.nansum(share * result.num_objects) == pytest.approx(num[verb])
+        assert verb in inline_svg(lambda verb=verb: draw_table_map(result, verb), "f", "t")
     bare = Logs(logs.stages, logs.trajectories, logs.objects.drop(columns="log_odds"))
     assert table_map(policy, task, bare) is None
 
@@ -249,19 +249,19 @@ def test_what_may_well_be_the_best_has_a_bar_however_little_it_is_worth(tmp_path
 @pytest.mark.slow
 def test_what_is_said_stands_on_the_picture_and_bars_only_where_values_are_known(view, tmp_path):
     words = words_on(tmp_path / "d.svg", DECISION, view=view, stage=2, horizon=10)
-    for told in ("LIFT 0", "stage 2 of 10", "61\u00a0%", "best", "0", "1", "2", "3", "4"):
-        assert told in words
-    told = " ".join(words)
-    assert "value [reward]; 2 more not shown" in told
-    assert "line: 95 % interval of Q" in told
-    assert DECISION.reason in told
-    assert "Warning: num_objects is 5" in told
+    for message in ("LIFT 0", "stage 2 of 10", "61\u00a0%", "best", "0", "1", "2", "3", "4"):
+        assert message in words
+    message = " ".join(words)
+    assert "value [reward]; 2 more not shown" in message
+    assert "line: 95 % interval of Q" in message
+    assert DECISION.reason in message
+    assert "Warning: num_objects is 5" in message
     assert sum(bool(re.fullmatch(r"(WASH|LIFT) \d", one)) for one in words) == MOST_BARS + 1
     named = Decision("soft", {"soft": 0.58, "suction": 0.51, "stop": None}, "soft: worth 0.07 more than suction.")
-    told = " ".join(words_on(tmp_path / "d.svg", named))
-    assert "no interval known" in told
-    assert "suction" in told
-    assert "stop" not in told
+    message = " ".join(words_on(tmp_path / "d.svg", named))
+    assert "no interval known" in message
+    assert "suction" in message
+    assert "stop" not in message
     rule = Decision("WASH 1", {}, "WASH 1: by GreedyPolicy.")
     assert "value [reward]" not in " ".join(words_on(tmp_path / "d.svg", rule, view=view))
 

@@ -158,7 +158,7 @@ def test_a_policy_is_asked_at_each_stage(in_folder, tmp_path):
         assert stage.action in stage.reason
 
 
-def test_what_is_not_there_is_told(in_folder):
+def test_what_is_not_there_is_reported(in_folder):
     logs, folder = in_folder
 
     def of_stages(stages):
@@ -210,7 +210,7 @@ def test_a_recording_comes_back_as_it_was_and_is_replaced_only_where_that_is_ask
     ],
     ids=["cut", "missing", "arrays missing", "code"],
 )
-def test_a_broken_recording_is_told(tmp_path, file, harm):
+def test_a_broken_recording_is_reported(tmp_path, file, harm):
     write_recording(run(), tmp_path / "run")
     harm(tmp_path / "run" / file)
     with pytest.raises(ArgumentError, match=r"run: not a complete recording .*; record it again"):

@@ -34,15 +34,15 @@ def test_amounts_shares_lists_and_sentences_read_as_such():
     }
     assert {value: significant(value) for value in amounts} == amounts
     # A share that is not quite none or all does not read so.
-    told = [percent(share).replace("\u00a0", " ") for share in (0.0, 0.001, 0.5, 0.999, 1.0)]
-    assert told == ["0 %", "< 1 %", "50 %", "> 99 %", "100 %"]
+    result = [percent(share).replace("\u00a0", " ") for share in (0.0, 0.001, 0.5, 0.999, 1.0)]
+    assert result == ["0 %", "< 1 %", "50 %", "> 99 %", "100 %"]
     assert (listed([]), listed(["a"]), listed(["a", "b"])) == ("", "a", "a and b")
     assert (counted(1, "stage"), counted(1200, "stage")) == ("1 stage", "1,200 stages")
     assert (as_sentence("is it?"), as_sentence("it is")) == ("Is it?", "It is.")
 
 
 @pytest.mark.parametrize(
-    ("numbers", "told"),
+    ("numbers", "message"),
     [
         ((0.1012, 0.0242, 0.1782), ("0.10", "0.02 to 0.18")),
         ((0.0004, -0.012, 0.013), ("0.000", "−0.012 to 0.013")),
@@ -55,8 +55,8 @@ def test_amounts_shares_lists_and_sentences_read_as_such():
         ((math.nan, math.nan, math.nan), ("–", "–")),
     ],
 )
-def test_a_value_has_as_many_decimals_as_its_interval_makes_worthwhile(numbers, told):
-    assert with_interval(*numbers) == told
+def test_a_value_has_as_many_decimals_as_its_interval_makes_worthwhile(numbers, message):
+    assert with_interval(*numbers) == message
 
 
 def claim(value, reach, **options):
@@ -99,7 +99,7 @@ def contrast(one, other="white"):
     return (high + 0.05) / (low + 0.05)
 
 
-def test_colours_can_be_read_and_told_apart():
+def test_colours_can_be_read_and_distinguished():
     for num in (1, 4, 7):
         shades = learned_shades(num)
         assert np.all(np.diff([luminance(shade) for shade in shades]) > 0.0)

@@ -159,14 +159,14 @@ def test_a_node_of_two_goes_and_the_other_makes_what_it_had():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("engine", "address"), [("ray", "127.0.0.1:9"), ("dask", "127.0.0.1:9"), ("dask", "there")])
-def test_an_address_at_which_nobody_answers_is_told(engine, address):
-    told = rf"^--address {address}: no (Ray|Dask) .* answers there \(.*\); start one"
-    with pytest.raises(WorkerError, match=told), Workers(engine=engine, address=address).ready():
+def test_an_address_at_which_nobody_answers_is_reported(engine, address):
+    message = rf"^--address {address}: no (Ray|Dask) .* answers there \(.*\); start one"
+    with pytest.raises(WorkerError, match=message), Workers(engine=engine, address=address).ready():
         pass
 
 
 @pytest.mark.parametrize(
-    ("told", "words"),
+    ("result", "words"),
     [
         ({"engine": "spark"}, "--engine spark: choose among processes, ray, dask"),
         ({"address": "there"}, "--address there: processes of this machine have no address; name an --engine"),
@@ -175,15 +175,15 @@ def test_an_address_at_which_nobody_answers_is_told(engine, address):
         ({"num": 2.5}, "--workers 2.5: give a whole number, at least 1"),
     ],
 )
-def test_workers_that_there_cannot_be_are_refused(told, words):
+def test_workers_that_there_cannot_be_are_refused(result, words):
     with refused_type(f"^{words}"):
-        Workers(**told)
+        Workers(**result)
 
 
-def test_other_versions_and_what_a_worker_cannot_import_are_told_by_name():
+def test_other_versions_and_what_a_worker_cannot_import_are_reported_by_name():
     here = versions()
     other = {**here, "numpy": "1.0"}
     nothing, nowhere = (np.frombuffer(each, dtype=np.uint8) for each in (b"", b"cnowhere_at_all\nsquared\n."))
     assert f"numpy {np.__version__} instead of 1.0; install the same" in str(made(other, nothing, 0, 0).error)
-    told = str(made(here, nowhere, 0, 0).error)
-    assert told.startswith("a worker cannot import nowhere_at_all, which is needed here; install it there")
+    message = str(made(here, nowhere, 0, 0).error)
+    assert message.startswith("a worker cannot import nowhere_at_all, which is needed here; install it there")

@@ -23,57 +23,57 @@ def normal_draws(num_draws=20_000, sd=0.5):
 def test_chances_and_intervals_of_normal_draws_are_those_of_the_formula():
     two = [0, 2]
     draws = normal_draws()[:, [0, 1, 3]]
-    told = explained(VALUES[[0, 1, 3]], draws, ALL[:3], level=0.8)
+    result = explained(VALUES[[0, 1, 3]], draws, ALL[:3], level=0.8)
     # LIFT leads WASH by 0.5 with standard deviation 0.5 √2; FINISH hardly ever wins.
-    assert told.probability_best[2] == pytest.approx(0.76, abs=0.015)
-    assert told.probability_best.sum() == pytest.approx(1.0)
-    np.testing.assert_allclose(told.high[two] - told.values[two], 1.2816 * 0.5, atol=0.02)
-    np.testing.assert_allclose(told.values[two] - told.low[two], 1.2816 * 0.5, atol=0.02)
-    assert told.lift_worth == pytest.approx([0.5])
-    assert told.lift_low[0] < 0.0 < told.lift_worth[0] < told.lift_high[0]
+    assert result.probability_best[2] == pytest.approx(0.76, abs=0.015)
+    assert result.probability_best.sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(result.high[two] - result.values[two], 1.2816 * 0.5, atol=0.02)
+    np.testing.assert_allclose(result.values[two] - result.low[two], 1.2816 * 0.5, atol=0.02)
+    assert result.lift_worth == pytest.approx([0.5])
+    assert result.lift_low[0] < 0.0 < result.lift_worth[0] < result.lift_high[0]
 
 
 def test_what_is_common_to_all_actions_is_no_doubt_of_which_is_best():
     common = 10.0 * np.random.default_rng(0).standard_normal((500, 1))
-    told = explained(VALUES, VALUES + common, ALL)
-    np.testing.assert_array_equal(told.probability_best, [0, 0, 0, 1, 0])
-    np.testing.assert_allclose(told.lift_high - told.lift_low, 0.0, atol=1e-9)
-    assert (told.high - told.low > 20.0).all()
+    result = explained(VALUES, VALUES + common, ALL)
+    np.testing.assert_array_equal(result.probability_best, [0, 0, 0, 1, 0])
+    np.testing.assert_allclose(result.lift_high - result.lift_low, 0.0, atol=1e-9)
+    assert (result.high - result.low > 20.0).all()
 
 
 def test_actions_that_tie_are_all_best():
     draws = np.array([[0.0, 1.0, 1.0 + 1e-9, 0.2, 1.0], [2.0, 1.0, 1.0, 0.2, 1.0]])
-    told = explained(VALUES, draws, ALL)
-    np.testing.assert_array_equal(told.probability_best, [0.5, 0.5, 0.5, 0.0, 0.5])
-    assert told.probability_stop_is_right == 0.5
+    result = explained(VALUES, draws, ALL)
+    np.testing.assert_array_equal(result.probability_best, [0.5, 0.5, 0.5, 0.0, 0.5])
+    assert result.probability_stop_is_right == 0.5
 
 
 def test_what_is_impossible_is_never_best_and_says_nothing():
     draws = normal_draws(100)
     draws[:, ~ONE_IS_GONE] = np.nan
-    told = explained(np.where(ONE_IS_GONE, VALUES, np.nan), draws, ONE_IS_GONE)
-    for numbers in (told.values, told.low, told.high):
+    result = explained(np.where(ONE_IS_GONE, VALUES, np.nan), draws, ONE_IS_GONE)
+    for numbers in (result.values, result.low, result.high):
         assert np.isneginf(numbers[~ONE_IS_GONE]).all()
         assert np.isfinite(numbers[ONE_IS_GONE]).all()
-    np.testing.assert_array_equal(told.probability_best[~ONE_IS_GONE], 0.0)
-    assert np.isneginf([told.lift_worth[1], told.lift_low[1], told.lift_high[1]]).all()
-    assert "LIFT 1" not in str(told)
+    np.testing.assert_array_equal(result.probability_best[~ONE_IS_GONE], 0.0)
+    assert np.isneginf([result.lift_worth[1], result.lift_low[1], result.lift_high[1]]).all()
+    assert "LIFT 1" not in str(result)
     # And all of it goes into JSON.
-    read = json.loads(json.dumps(told.as_dict(), allow_nan=False))
+    read = json.loads(json.dumps(result.as_dict(), allow_nan=False))
     assert read["actions"] == ["FINISH", "WASH 0", "WASH 1", "LIFT 0", "LIFT 1"]
     assert read["values"] == [0.0, 1.0, None, 1.5, None]
     assert read["lift_worth"] == [0.5, None]
     assert (read["best"], read["level"]) == ("LIFT 0", 0.9)
-    assert read["probability_stop_is_right"] == told.probability_stop_is_right
+    assert read["probability_stop_is_right"] == result.probability_stop_is_right
     only = explained(VALUES, normal_draws(10), np.array([True, False, False, False, False]))
     assert str(only).endswith("FINISH: best with probability 1.00; stopping now is right with probability 1.00.")
 
 
-def test_a_large_table_is_told_in_few_lines():
+def test_a_large_table_is_reported_in_few_lines():
     values = np.linspace(0.0, 1.0, 41)
-    told = str(explained(values, values[None], np.ones(41, dtype=bool)))
-    assert len(told.splitlines()) == 11
-    assert "and 33 more that are worth less" in told
+    message = str(explained(values, values[None], np.ones(41, dtype=bool)))
+    assert len(message.splitlines()) == 11
+    assert "and 33 more that are worth less" in message
 
 
 @pytest.mark.parametrize(
@@ -89,10 +89,10 @@ def test_a_large_table_is_told_in_few_lines():
 )
 def test_the_sentence_names_the_best_and_what_a_look_is_worth(values, sentence):
     values = np.array(values, dtype=float)
-    told = str(explained(values, np.tile(values, (3, 1)), ALL))
-    assert told.splitlines()[-1].startswith(sentence)
-    assert told.endswith(f"stopping now is right with probability {float(values[0] == 3):.2f}.")
-    best_first = [line.split()[0] for line in told.splitlines()[1:-1]]
+    message = str(explained(values, np.tile(values, (3, 1)), ALL))
+    assert message.splitlines()[-1].startswith(sentence)
+    assert message.endswith(f"stopping now is right with probability {float(values[0] == 3):.2f}.")
+    best_first = [line.split()[0] for line in message.splitlines()[1:-1]]
     assert sentence.startswith(best_first[0])
     assert len(best_first) == 5
 

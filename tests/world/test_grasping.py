@@ -142,7 +142,7 @@ BARE = {"base_m": (0.0, 0.0), "reach_m": 1.0, "name": "robot"}
 
 
 @pytest.mark.parametrize(
-    ("wrong", "told"),
+    ("wrong", "message"),
     [
         (lambda: check_law(3, "left: grasping"), r"left: grasping is 3, not a law of grasping of one robot; give one"),
         (
@@ -161,6 +161,6 @@ BARE = {"base_m": (0.0, 0.0), "reach_m": 1.0, "name": "robot"}
         ),
     ],
 )
-def test_what_is_no_law_is_told_in_one_line(wrong, told):
-    with refused(told, ArgumentError):
+def test_what_is_no_law_is_reported_in_one_line(wrong, message):
+    with refused(message, ArgumentError):
         wrong()

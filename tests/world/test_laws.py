@@ -162,8 +162,8 @@ def likelihoods(curve, looks):
     ends = sorted({0.0, 1.0, *(found_by(curve, shown(*look)) for look in looks)})
     every = {}
     for low, high in pairwise(ends):
-        told = labels_of((low + high) / 2.0, curve, looks)
-        every[told] = every.get(told, 0.0) + high - low
+        labels = labels_of((low + high) / 2.0, curve, looks)
+        every[labels] = every.get(labels, 0.0) + high - low
     return every
 
 

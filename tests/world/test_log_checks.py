@@ -46,13 +46,13 @@ def changed(logs, table="stages", row=0, **values):
     return Logs(tables["stages"], tables["trajectories"], tables["objects"])
 
 
-def refuses(told, read, logs):
-    with refused(told, LogError):
+def refuses(message, read, logs):
+    with refused(message, LogError):
         read(logs)
 
 
 @pytest.mark.parametrize(
-    ("column", "value", "told"),
+    ("column", "value", "message"),
     [
         ("location", "SINK", "location is not one of"),
         ("hidden_by", [0.0] * 9, "hidden_by does not give one share"),
@@ -64,12 +64,12 @@ def refuses(told, read, logs):
         ("grip", np.inf, "covariate grip"),
     ],
 )
-def test_a_broken_object_is_named(alone, column, value, told):
+def test_a_broken_object_is_named(alone, column, value, message):
     place = "trajectory 0, stage 1, object 0: "
-    refuses(place + told, lambda logs: states_of(changed(logs, "objects", **{column: value}), 10), alone)
+    refuses(place + message, lambda logs: states_of(changed(logs, "objects", **{column: value}), 10), alone)
 
 
-def test_hidden_shares_of_whom_an_object_hides_are_told_from_those_of_who_hides_it(alone):
+def test_hidden_shares_of_whom_an_object_hides_are_reported_from_those_of_who_hides_it(alone):
     """One object cannot hide more than all together, as a transposed list says."""
     checked_tables(alone)
     stacked = [np.stack(each.to_list()).T for _, each in alone.objects.groupby(["trajectory", "stage"])["hidden_by"]]
@@ -86,8 +86,8 @@ def test_an_object_that_vanishes_is_named(alone):
     acted = stages.loc[(stages["trajectory"] == trajectory) & (stages["stage"] == 2), "object"].fillna(-1).iloc[0]
     gone = next(k for k in range(3) if k != acted)
     kept = ~((objects["trajectory"] == trajectory) & (objects["stage"] == 2) & (objects["object"] == gone))
-    told = f"trajectory {trajectory}, stage 1, object {gone}: stage 2 no longer lists it"
-    refuses(told, lambda logs: states_of(logs, 10), Logs(stages, alone.trajectories, objects[kept]))
+    message = f"trajectory {trajectory}, stage 1, object {gone}: stage 2 no longer lists it"
+    refuses(message, lambda logs: states_of(logs, 10), Logs(stages, alone.trajectories, objects[kept]))
 
 
 def test_a_log_without_objects_or_with_too_many_stages_is_refused(alone):
@@ -106,7 +106,7 @@ READERS = pytest.mark.parametrize(
 
 @READERS
 @pytest.mark.parametrize(
-    ("values", "told"),
+    ("values", "message"),
     [
         ({"robot": 7}, r"trajectory 0, stage 1: robot is 7, but the columns are of robots 0 to 1"),
         ({"1_does": "WASH"}, r"stage 1: 1_does is 'WASH'; give one of FREE, PARKED"),
@@ -127,9 +127,9 @@ READERS = pytest.mark.parametrize(
         ),
     ],
 )
-def test_stages_that_no_team_has_are_refused(team, values, told, read):
+def test_stages_that_no_team_has_are_refused(team, values, message, read):
     read(team)
-    refuses(told, read, changed(team, **values))
+    refuses(message, read, changed(team, **values))
 
 
 @READERS
@@ -140,9 +140,9 @@ def test_text_in_place_of_numbers_is_refused(team, column, read):
 
 
 def test_more_decisions_than_a_trajectory_may_have_are_refused(team):
-    told = "1_decisions_to_go is 1000000000, more than horizon=10 decisions of all robots together; raise horizon"
+    message = "1_decisions_to_go is 1000000000, more than horizon=10 decisions of all robots together; raise horizon"
     many = changed(team, **{"1_decisions_to_go": 10**9})
-    refuses(f"trajectory 0, stage 1: {told}", lambda logs: states_of(logs, 10), many)
+    refuses(f"trajectory 0, stage 1: {message}", lambda logs: states_of(logs, 10), many)
 
 
 def test_clocks_counts_and_places_that_contradict_each_other_are_refused(team):
@@ -153,8 +153,8 @@ def test_clocks_counts_and_places_that_contradict_each_other_are_refused(team):
         "1_decisions_to_go is 9, no less than at its decision before": ({"1_decisions_to_go": 9}, {}),
         "near lacks the object itself": ({}, {"near": [np.zeros(0, dtype=np.int64)] * len(objects)}),
     }
-    for told, (of_stages, of_objects) in others.items():
-        refuses(told, check_log, Logs(stages.assign(**of_stages), team.trajectories, objects.assign(**of_objects)))
+    for message, (of_stages, of_objects) in others.items():
+        refuses(message, check_log, Logs(stages.assign(**of_stages), team.trajectories, objects.assign(**of_objects)))
 
 
 def test_two_robots_at_one_object_are_refused(frail):
@@ -169,7 +169,7 @@ def test_two_robots_at_one_object_are_refused(frail):
 @pytest.mark.slow
 @READERS
 @pytest.mark.parametrize(
-    ("column", "value", "told"),
+    ("column", "value", "message"),
     [
         ("reached_by", [0, 2], r"object 0: reached_by names an unknown robot; .* 0 to 1 \(it is .*0, 2"),
         ("reached_by", [0.5], "names an unknown robot"),
@@ -179,10 +179,10 @@ def test_two_robots_at_one_object_are_refused(frail):
         ("attempt_by", [2], r"object \d: attempt_by names an unknown robot; .* robots 0 to 1 .*2"),
     ],
 )  # fmt: skip
-def test_lists_that_name_what_there_is_not_are_refused(team, column, value, told, read):
+def test_lists_that_name_what_there_is_not_are_refused(team, column, value, message, read):
     lengths = team.objects["attempt_by"].map(len).tolist()
     row = lengths.index(1) if column == "attempt_by" else 0
-    refuses(told, read, changed(team, "objects", row, **{column: np.asarray(value, dtype=type((*value, 0)[0]))}))
+    refuses(message, read, changed(team, "objects", row, **{column: np.asarray(value, dtype=type((*value, 0)[0]))}))
 
 
 @READERS
@@ -194,12 +194,12 @@ def test_who_acts_beyond_its_reach_is_refused(team, read):
 
 @READERS
 def test_a_drop_out_of_a_robot_that_there_is_none_of_is_refused(team, read):
-    told = r"trajectories: column '5_out_s' is of an unknown robot; the stages have robots 0 to 1: "
-    refuses(told, read, Logs(team.stages, team.trajectories.assign(**{"5_out_s": np.nan}), team.objects))
+    message = r"trajectories: column '5_out_s' is of an unknown robot; the stages have robots 0 to 1: "
+    refuses(message, read, Logs(team.stages, team.trajectories.assign(**{"5_out_s": np.nan}), team.objects))
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (
             {"0_out_s": lambda trajectories: trajectories["end_s"] + 1.0},
@@ -211,14 +211,14 @@ def test_a_drop_out_of_a_robot_that_there_is_none_of_is_refused(team, read):
         ({"0_out_s": 1e-3}, r"robot 0 decides at [\d.]+ s, yet dropped out at 0.001 s"),
     ],
 )
-def test_a_drop_out_that_cannot_be_is_refused(frail, change, told):
-    refuses(told, lambda logs: Logs(logs.stages, logs.trajectories.assign(**change), logs.objects), frail)
+def test_a_drop_out_that_cannot_be_is_refused(frail, change, message):
+    refuses(message, lambda logs: Logs(logs.stages, logs.trajectories.assign(**change), logs.objects), frail)
 
 
 def test_what_a_robot_brought_is_a_number_where_the_stage_was_completed(frail):
     nothing = frail.stages.assign(**{"1_reward": np.nan})
-    told = r"trajectory 0, stage 1: 1_reward is null; give a finite number for each completed"
-    refuses(told, lambda logs: Logs(nothing, logs.trajectories, logs.objects), frail)
+    message = r"trajectory 0, stage 1: 1_reward is null; give a finite number for each completed"
+    refuses(message, lambda logs: Logs(nothing, logs.trajectories, logs.objects), frail)
     assert "1_reward" not in frail.stage_covariates
     assert "1_since_s" in frail.stage_covariates
 
@@ -271,8 +271,8 @@ def test_decimals_are_read_as_the_numbers_that_they_are(team):
 def test_a_prior_is_a_number(alone, kind):
     trajectories = pa.Table.from_pandas(alone.trajectories.drop(columns="dirty_share"), preserve_index=False)
     trajectories = trajectories.append_column("dirty_share", AS_OTHER[kind]([0.5] * alone.num_trajectories))
-    told = r"^trajectories: column 'dirty_share' holds \w+, not numbers; convert it$"
-    refuses(told, logged_dirty_share, Logs(alone.stages, trajectories, alone.objects))
+    message = r"^trajectories: column 'dirty_share' holds \w+, not numbers; convert it$"
+    refuses(message, logged_dirty_share, Logs(alone.stages, trajectories, alone.objects))
 
 
 @pytest.mark.slow

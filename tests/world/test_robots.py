@@ -55,7 +55,7 @@ def test_a_parameter_is_looked_at_where_it_is_no_array():
 
 
 @pytest.mark.parametrize(
-    ("make", "told"),
+    ("make", "message"),
     [
         (lambda: Robot((0.0, np.nan), 1.0), r"robot: base_m is \(0.0, nan\); give two finite numbers, x and y"),
         (lambda: Robot((0.0,), 1.0), r"robot: base_m is \(0.0,\); give two finite numbers"),
@@ -99,8 +99,8 @@ def test_a_parameter_is_looked_at_where_it_is_no_array():
         (lambda: Scene(np.zeros((1, 1)), places_m=np.array([[0.0, np.nan]])), r"places_m\[0, 1\] is nan; give a"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line(make, told):
-    with refused_type(told, HalfseenError):
+def test_what_cannot_be_is_refused_in_one_line(make, message):
+    with refused_type(message, HalfseenError):
         make()
 
 
@@ -144,7 +144,7 @@ def test_a_robot_may_name_a_law_of_its_own(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("", r"robots.toml: no robots; give each robot a \[\[robot\]\] table"),
         ("robot = 3", "no robots"),
@@ -170,12 +170,12 @@ def test_a_robot_may_name_a_law_of_its_own(tmp_path):
         (ROBOT + "grasping = 'soft'", "unknown key 'grasping'"),
     ],
 )
-def test_what_no_team_has_is_told_in_one_line(tmp_path, text, told):
-    with refused(told, ArgumentError) as caught:
+def test_what_no_team_has_is_reported_in_one_line(tmp_path, text, message):
+    with refused(message, ArgumentError) as caught:
         read(tmp_path, text)
     assert str(tmp_path / "robots.toml") in str(caught.value)
 
 
-def test_a_file_that_is_not_there_is_told(tmp_path):
+def test_a_file_that_is_not_there_is_reported(tmp_path):
     with pytest.raises(ArgumentError, match=r"no\.toml: cannot be read"):
         read_team(tmp_path / "no.toml")

@@ -94,7 +94,7 @@ def learned(num_decisions):
 
 
 @pytest.mark.parametrize(
-    ("make", "error", "told"),
+    ("make", "error", "message"),
     [
         (lambda: WORLD.simulate(Scene(np.zeros((1, 1))), UniformPolicy(), 1, 0), SceneError, "scene: places_m is None"),
         (lambda: WORLD.simulate(EMPTY, UniformPolicy(), 1, 0), SceneError, "empty: no object is .* leave it out"),
@@ -124,8 +124,8 @@ def learned(num_decisions):
         (lambda: WORLD.evaluate(SCENES, ExploringPolicy(learned(12)), 1, 0), PolicyError, "learned for 12 decisions"),
     ],
 )
-def test_what_cannot_be_is_refused(make, error, told):
-    with refused_type(told) if error is ArgumentError else pytest.raises(error, match=told):
+def test_what_cannot_be_is_refused(make, error, message):
+    with refused_type(message) if error is ArgumentError else pytest.raises(error, match=message):
         make()
 
 
@@ -143,13 +143,13 @@ def test_a_policy_for_three_robots_plays_with_three_and_with_no_other_number(pol
 
 @pytest.mark.parametrize("policy", [RULE, ExploringPolicy(RULE)])
 def test_a_policy_of_one_robot_is_to_be_wrapped(policy):
-    told = "GreedyPolicy decides for one robot, .*; give .* with such a policy for each robot, or ReservingPolicy"
+    message = "GreedyPolicy decides for one robot, .*; give .* with such a policy for each robot, or ReservingPolicy"
     for play_with in (WORLD.simulate, WORLD.evaluate):
-        with pytest.raises(PolicyError, match=told):
+        with pytest.raises(PolicyError, match=message):
             play_with(SCENES, policy, 2, 0)
 
 
-def test_what_nobody_reaches_is_told_of_and_left():
+def test_what_nobody_reaches_is_reported_of_and_left():
     short = TableWorld(robots=[Robot((-0.6, 0.0), 0.4)])
     with pytest.warns(HalfseenWarning, match=r"two: object 1 at \(0.3, 0\) m is out of every robot's reach"):
         logs = short.simulate(SCENES[1], UniformPolicy(), 20, seed=0)

@@ -107,7 +107,7 @@ def test_the_horizon_costs_what_finish_costs():
     assert float(lifted.reward) == pytest.approx(-10.0 - 0.1 * 7.0)
 
 
-def test_what_is_told_of_a_state_is_what_the_text_says_of_it(steps):
+def test_what_is_reported_of_a_state_is_what_the_text_says_of_it(steps):
     """Occlusion is one minus the product, attempts are counted by object, and what is on the table can be acted on."""
     states, hidden, *_ = steps
     seen, (successes, failures), possible = occlusion(states), attempt_counts(states), possible_actions(states)

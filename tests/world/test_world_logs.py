@@ -84,8 +84,8 @@ def test_what_laws_make_of_a_table_comes_back(config, scenes, names, tmp_path):
     logs = TableWorld(config).simulate(scenes, UniformPolicy(), episodes=60, seed=1)
     assert logs.trajectories["dirty_share"].tolist() == [config.dirty_share] * logs.num_trajectories
     logs.write(tmp_path / "logs")
-    for told in (logs, read_logs(tmp_path / "logs")):
-        states = states_of(told, config.horizon)
+    for result in (logs, read_logs(tmp_path / "logs")):
+        states = states_of(result, config.horizon)
         for name in names:
             expected = getattr(cuts.episodes.states, name)[cuts.is_begun]
             assert np.array_equal(getattr(states, name)[cuts.is_begun], expected), name

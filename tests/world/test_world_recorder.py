@@ -96,7 +96,7 @@ SECOND = "trajectory 0, stage 2"
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"robot": 7}, f"{SECOND}: robot is 7, but the columns are of robots 0 to 1"),
         ({"object": 2}, f"{SECOND}: robot 1 starts on object 2, which robot 0 is acting on by 0_does"),
@@ -106,7 +106,7 @@ SECOND = "trajectory 0, stage 2"
         ({"objects": "fewer"}, "trajectory 0, stage 1, object 0: stage 2 no longer lists it"),
     ],
 )
-def test_what_no_team_learns_from_is_refused_when_it_is_told(logs, tmp_path, change, told):
+def test_what_no_team_learns_from_is_refused_when_it_is_reported(logs, tmp_path, change, message):
     first = logs.stages[(logs.stages["trajectory"] == 0) & (logs.stages["stage"] == 1)].to_dict("records")[0]
     first |= {"action": "WASH", "object": 2, "elapsed_s": 0.0, "robot": 0}
     second = first | {"stage": 1, "robot": 1, "object": 3, "0_does": "WASH 2", "0_decisions_to_go": 3}
@@ -123,7 +123,7 @@ def test_what_no_team_learns_from_is_refused_when_it_is_told(logs, tmp_path, cha
             begin(trajectory, logs, first, objects=unreached)
         begin(trajectory, logs, first)
         trajectory.complete_stage(0.0, elapsed_s=0.0, own_rewards=[0.0, 0.0])
-        with refused(told, LogError):
+        with refused(message, LogError):
             begin(trajectory, logs, second, **change)
         begin(trajectory, logs, second)
         with pytest.raises(LogError, match=r"column '2_out_s' is of an unknown robot"):

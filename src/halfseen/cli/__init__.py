@@ -14,7 +14,7 @@ from click.shell_completion import CompletionItem
 from halfseen import __version__
 from halfseen.cli.messages import remedy, tell_error, tell_warning, unexpected
 from halfseen.errors import HalfseenError, HalfseenWarning, closest, did_you_mean
-from halfseen.progress import Telling, telling
+from halfseen.progress import Verbosity, verbosity
 
 VERBS = {
     "inspect": "Say what a folder of logs holds: trajectories, endings, causes, weights, and what looks wrong.",
@@ -47,9 +47,9 @@ SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True}
 def _show_progress(ctx: click.Context, _: click.Parameter, is_quiet: bool) -> None:
     """Set the progress display for the duration of the command."""
     if is_quiet:
-        ctx.with_resource(telling(Telling.NOTHING))
+        ctx.with_resource(verbosity(Verbosity.NOTHING))
     elif ctx.parent is None:
-        ctx.with_resource(telling(Telling.LINES))
+        ctx.with_resource(verbosity(Verbosity.LINES))
 
 
 def _with_quiet(command: click.Command) -> click.Command:

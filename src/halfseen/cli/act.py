@@ -214,7 +214,7 @@ def monitor(
         for module in ("jinja2", "matplotlib"):
             extra(module, "study")
         check_page_target(page, overwrite)
-    stored, said, anew = read_policy(policy), "", [] if since is None else ["--since", since]
+    stored, said, since_option = read_policy(policy), "", [] if since is None else ["--since", since]
     while True:
         try:
             read = read_logs(logs, missing=stored.missing())
@@ -228,7 +228,9 @@ def monitor(
                 tell_warning(said)
             time.sleep(every)
             continue
-        command = shlex.join(["halfseen", "monitor", str(policy), "--logs", str(logs), "--seed", str(seed), *anew])
+        command = shlex.join(
+            ["halfseen", "monitor", str(policy), "--logs", str(logs), "--seed", str(seed), *since_option]
+        )
         asked = {"policy": str(policy), "logs": str(logs), "since": since, "seed": seed}
         report: dict[str, Any] = {**asked, **found.as_dict()}
         text = json.dumps(report, indent=None if follow else 2, allow_nan=False) if as_json else "\n".join(lines(found))

@@ -260,7 +260,7 @@ def _held_out_q(model: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarr
 def _weights(
     probability: Float[np.ndarray, " rows"], is_possible: Bool[np.ndarray, "rows A"]
 ) -> Float[np.ndarray, " rows"]:
-    """1 for stages in which the log did what it prefers, 0 where it explored; 1 for all if that cannot be told.
+    """1 for stages in which the log did what it prefers, 0 where it explored; 1 for all if that is not clear.
 
     It can if every state has one action that is `CLEARLY` times as probable as chance, so that N = 1, with N the mean
     of 1{b(A | S) is so large} / b(A | S), up to `ABOUT` and two standard errors.
@@ -269,8 +269,8 @@ def _weights(
     is_preferred = likely > CLEARLY * chance
     number = np.where(is_preferred, 1.0 / np.where(is_preferred, likely, 1.0), 0.0)
     error = number.std() / np.sqrt(len(number))
-    is_told = is_preferred.any() and abs(number.mean() - 1.0) <= ABOUT + 2.0 * error
-    return is_preferred.astype(np.float64) if is_told else np.ones(len(likely))
+    is_clear = is_preferred.any() and abs(number.mean() - 1.0) <= ABOUT + 2.0 * error
+    return is_preferred.astype(np.float64) if is_clear else np.ones(len(likely))
 
 
 def advantages(

@@ -22,7 +22,7 @@ from halfseen.learning.q_space import TabularQ
 from halfseen.learning.recursion import QFunctions, fit_q, stack_q
 from halfseen.learning.rows import TrajectoryArrays, Transitions
 from halfseen.logs import Logs
-from halfseen.progress import Progress, Telling, telling
+from halfseen.progress import Progress, Verbosity, verbosity
 from halfseen.shapes import Float, Int
 from halfseen.workers import ALONE, Workers, checked_workers
 from halfseen.workers.threads import in_one_thread
@@ -135,7 +135,7 @@ def bootstrap(
     batches = [counts[start : start + BATCH_SIZE] for start in range(0, num_replicates, BATCH_SIZE)]
     fits: list[QFunctions] = []
     with (
-        telling(Telling.NOTHING) if is_quiet else nullcontext(),
+        verbosity(Verbosity.NOTHING) if is_quiet else nullcontext(),
         Progress(num_replicates, "bootstrap", "draws") as bar,
         workers.ready_if_worth() as pool,
     ):

@@ -163,8 +163,8 @@ class JournalEvents:
         above, self.checksum = self.checksum, _stated(line)
         body = line[_EVENT]
         is_chained = above is not None and zlib.crc32(body, above) == self.checksum
-        is_anew = bool(self.holes) and body.startswith(_SESSION) and zlib.crc32(body) == self.checksum
-        event = _parsed(body) if is_chained or is_anew else None
+        is_restarted = bool(self.holes) and body.startswith(_SESSION) and zlib.crc32(body) == self.checksum
+        event = _parsed(body) if is_chained or is_restarted else None
         if self.num_lines == 0 and event is not None and event != HEADER:
             raise LogError(
                 f"{self.file}, line 1: {body.decode()} is not the {FORMAT} of version {VERSION} that this halfseen "

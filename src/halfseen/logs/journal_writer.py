@@ -137,7 +137,7 @@ class JournalWriter:
             with within(folder):
                 self._reward_unit = common_unit([*(events.reward_unit for events in read), reward_unit])
             last = read[-1]
-            with self._telling():
+            with self._verbosity():
                 descriptor = self._lock if last.file == first else os.open(last.file, _FLAGS)
                 self._begin(last.file, descriptor, last.num_bytes, last.checksum or 0)
             for each in folders:
@@ -182,7 +182,7 @@ class JournalWriter:
                 f"{self._held.part}: the recorder belongs to process {self._process}, and this is its fork "
                 f"{os.getpid()}; record in the process that opened it"
             )
-        with self._telling():
+        with self._verbosity():
             self._refuse_deleted()
             self._take_back()
             if self._held.num_bytes >= self._part_bytes and event["event"] == "stage" and event["stage"] == 1:
@@ -245,7 +245,7 @@ class JournalWriter:
             self._is_torn = False
 
     @contextmanager
-    def _telling(self) -> Iterator[None]:
+    def _verbosity(self) -> Iterator[None]:
         """Remove an event that the disk could not store, and report the error."""
         try:
             yield

@@ -103,9 +103,9 @@ def information_relaxation_bound(
         raise ArgumentError(f"num_grip_nodes is {num_grip_nodes}; give at least 1, or None for normal offsets")
     _check_revealed(config, reveals)
     world, rng = GridWorld(table, config, num_grip_nodes or 1), np.random.default_rng(seed)
-    dirty, of_dirty = _told_of_dirt(world, steps, reveals)
-    num_told = (len(dirty) * (num_grip_nodes or np.inf)) ** num_objects
-    is_exact = reveals != "everything" and num_told <= MAX_ENUMERATED
+    dirty, of_dirty = _possible_beliefs(world, steps, reveals)
+    num_possible = (len(dirty) * (num_grip_nodes or np.inf)) ** num_objects
+    is_exact = reveals != "everything" and num_possible <= MAX_ENUMERATED
     if is_exact:
         each = np.array(list(product(range(len(dirty)), range(world.num_grip_nodes))))
         combination = each[list(product(range(len(each)), repeat=num_objects))]
@@ -133,7 +133,7 @@ def _check_revealed(config: WorldConfig, reveals: str) -> None:
         raise ArgumentError(f"reveals is 'everything', but grasping is {name}, whose times are not known; use 'hidden'")
 
 
-def _told_of_dirt(
+def _possible_beliefs(
     world: GridWorld, horizon: int, reveals: str
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """P(DIRTY) of one object given each possible revelation, and the probability of each."""
@@ -144,7 +144,7 @@ def _told_of_dirt(
         return np.array([0.0, 1.0]), np.array([1.0 - dirty_share, dirty_share])
     occlusions = np.unique(np.concatenate(world.occlusions))
     if not is_independent(world.seeing):
-        return _told_by_all_views(labels_of(world.seeing, occlusions, dirty_share))
+        return _beliefs_by_all_views(labels_of(world.seeing, occlusions, dirty_share))
     right_if_dirty, wrong_if_clean = world.seeing.positive(occlusions, 0.0)
     if not np.allclose(right_if_dirty, 1.0 - wrong_if_clean, rtol=0.0, atol=1e-12):
         raise ArgumentError(
@@ -154,11 +154,11 @@ def _told_of_dirt(
     best, labels = float(np.maximum(right_if_dirty, 1.0 - right_if_dirty).max()), np.arange(horizon + 1)
     if_dirty = dirty_share * binom.pmf(labels, horizon, best)
     total = if_dirty + (1.0 - dirty_share) * binom.pmf(labels, horizon, 1.0 - best)
-    is_told = total > 0.0  # labels that are always right never contradict each other
-    return if_dirty[is_told] / total[is_told], total[is_told]
+    is_possible = total > 0.0  # labels that are always right never contradict each other
+    return if_dirty[is_possible] / total[is_possible], total[is_possible]
 
 
-def _told_by_all_views(labels: Labels) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+def _beliefs_by_all_views(labels: Labels) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
     """P(DIRTY) of one object given the labels of every view, the most hidden first, and their probabilities."""
     looks, mass = labels.nothing, np.ones(1)
     for view in np.lexsort((-labels.views.occluded, labels.views.is_held)).tolist():

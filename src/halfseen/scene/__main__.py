@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from halfseen.errors import HalfseenError
-from halfseen.progress import Progress, Telling, telling
+from halfseen.progress import Progress, Verbosity, verbosity
 from halfseen.scene.shipped import NUM_TABLES, write_shipped
 from halfseen.writing import refuse_unwritable
 
@@ -25,7 +25,7 @@ def main(out: Path) -> None:
     """
     try:
         refuse_unwritable(out / "tables")
-        with telling(Telling.LINES), Progress(NUM_TABLES, "draw", "tables") as bar:
+        with verbosity(Verbosity.LINES), Progress(NUM_TABLES, "draw", "tables") as bar:
             for k in range(NUM_TABLES):
                 write_shipped(out, [k])
                 bar.update()

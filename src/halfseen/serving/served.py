@@ -226,7 +226,7 @@ class Served:
         (fresh, comparison), self._next = self._next, None
         self.answering = replace(self.answering, comparison=comparison)
         if watch is not None and fresh.digest != self.service.digest:
-            watch.anew(fresh.digest)
+            watch.restart(fresh.digest)
         self.service, self._unanswered = fresh, set()
 
     async def decide(self, look: Callable[[InService], AskedState], check: Check = _anybody) -> DecisionAnswer:

@@ -82,7 +82,7 @@ class Watch:
         self._is_new = True
         self.look()
 
-    def anew(self, digest: str) -> None:
+    def restart(self, digest: str) -> None:
         """Watch another policy, by its identifier."""
         self.digest, self._is_new, self.found = digest, False, None
 

@@ -1,9 +1,9 @@
-"""Experiments: frozen configurations that repeat and tabulate; and how what they found is told.
+"""Experiments: frozen configurations that repeat and tabulate; and the texts that report what they found.
 
 A repetition is a pure function of the configuration, the setting, the prepared results and its index. All four can be
 pickled, and the result is plain numbers. So repetitions may run in any order, in any process, on any machine.
 
-What is told is declared in TOML: the ``heading``, the ``sentences``, of which as many as ``leading`` open the report,
+A section is declared in TOML: the ``heading``, the ``sentences``, of which as many as ``leading`` open the report,
 ``claims``, ``phrases`` and ``macros`` for use in texts, ``figures``, ``tables`` for readers, and ``nothing``, the
 sentence if there are no tables. ``looks`` has colour and label of each series; markers follow their order.
 
@@ -101,8 +101,8 @@ class Experiment(ABC):
 
     name: ClassVar[str]
     """Name by which it is chosen and its pieces are kept."""
-    told: ClassVar[str] = ""
-    """TOML of what is told; by default the file beside the experiments that has its name."""
+    texts: ClassVar[str] = ""
+    """TOML of its section of the report; by default the file beside the experiments that has its name."""
     most_repetitions = None
     """Largest number of repetitions, a field of most experiments; None for as many as the setting has."""
 
@@ -128,11 +128,11 @@ class Experiment(ABC):
 
     def section(self, setting: Setting, tables: Tables) -> Section:
         """Report the findings, from the tables alone."""
-        texts = self.told or files("halfseen.study.experiments").joinpath(f"{self.name}.toml").read_text("utf-8")
-        told = tomllib.loads(texts)
+        texts = self.texts or files("halfseen.study.experiments").joinpath(f"{self.name}.toml").read_text("utf-8")
+        declared = tomllib.loads(texts)
         if not tables:
-            return Section(told["heading"], (" ".join(told["nothing"].split()),), (), (), 0)
-        return Telling(told, self, setting, tables).section()
+            return Section(declared["heading"], (" ".join(declared["nothing"].split()),), (), (), 0)
+        return DeclaredSection(declared, self, setting, tables).section()
 
 
 @cache
@@ -152,18 +152,18 @@ _template = cache(lambda text: _environment().from_string(text))
 _expression = cache(lambda text: _environment().compile_expression(text, undefined_to_none=False))
 
 
-class Telling:
-    """What is told of an experiment: declared texts, claims, figures and tables, filled in."""
+class DeclaredSection:
+    """A section of the report: declared texts, claims, figures and tables, filled in."""
 
-    def __init__(self, told: dict[str, Any], design: Experiment, setting: Setting, tables: Tables) -> None:
-        self.told, self.design, self.setting, self.macros = told, design, setting, told.get("macros", "")
-        self.known: dict[str, Any] = {"design": design, "setting": setting, "names": told.get("names", {})} | tables
-        self.known["looks"] = looks_of(told.get("looks", {}), getattr(design, "contenders", {}))
+    def __init__(self, declared: dict[str, Any], design: Experiment, setting: Setting, tables: Tables) -> None:
+        self.declared, self.design, self.setting, self.macros = declared, design, setting, declared.get("macros", "")
+        self.known: dict[str, Any] = {"design": design, "setting": setting, "names": declared.get("names", {})} | tables
+        self.known["looks"] = looks_of(declared.get("looks", {}), getattr(design, "contenders", {}))
         self.known["labels"] = {name: look["label"] for name, look in self.known["looks"].items()}
         self.known |= design.facts(setting, tables)
-        for name, of in told.get("claims", {}).items():
+        for name, of in declared.get("claims", {}).items():
             self.known[name] = self._claim(of)
-        for name, text in told.get("phrases", {}).items():
+        for name, text in declared.get("phrases", {}).items():
             self.known[name] = self.text(text)
 
     def text(self, text: str, row: Row | None = None) -> str:
@@ -180,12 +180,12 @@ class Telling:
         return self.known | own | {"row": row}
 
     def section(self) -> Section:
-        """Tell all of it."""
-        sentences = [self.text(each) for each in self.told["sentences"]]
-        drawings = [self._drawing(of) for of in self.told.get("figures", [])]
-        listings = [self._listing(of) for of in self.told.get("tables", [])]
+        """Fill it in."""
+        sentences = [self.text(each) for each in self.declared["sentences"]]
+        drawings = [self._drawing(of) for of in self.declared.get("figures", [])]
+        listings = [self._listing(of) for of in self.declared.get("tables", [])]
         opening, *others = drawings if drawings and not drawings[0].label else (None, *drawings)
-        return Section(self.told["heading"], sentences, others, listings, self.told.get("leading", 1), opening)
+        return Section(self.declared["heading"], sentences, others, listings, self.declared.get("leading", 1), opening)
 
     def _claim(self, of: dict[str, Any]) -> Claim:
         """A claim: subject, more (the verb), less (its denial), rival, and the row with the columns of its estimate."""

@@ -118,7 +118,7 @@ def _command(setting: Setting, experiments: Sequence[Experiment]) -> str:
 
 
 def _scene(scene: Scene, picture: bytes | None) -> dict[str, Any]:
-    """A scene as it is told, with who hides how much of each object that is hidden, the most hidden first."""
+    """A scene in words, with who hides how much of each object that is hidden, the most hidden first."""
     occlusion, hides = scene.occlusion, np.where(scene.hides >= SMALLEST_HIDDEN_SHARE, scene.hides, 0.0)
     order = [int(i) for i in np.argsort(-occlusion, kind="stable") if hides[i].any()]
     hidden = [

@@ -97,8 +97,8 @@ def seeing_of(labels: Labels, dirty_share: float, known: KnownSeeing | None = No
     plain = families[0]
     about = None if known is None else plain.theta_of(known)
     unaided = plain.prior if about is None else Prior(about, RECORDER_SPREAD)
-    told = families if len(labels.trajectory) else []
-    each = ((family, read_back(labels, family.law, family.prior.mode, family.bounds)) for family in told)
+    informed = families if len(labels.trajectory) else []
+    each = ((family, read_back(labels, family.law, family.prior.mode, family.bounds)) for family in informed)
     family, theta = next((pair for pair in each if pair[1] is not None), (plain, None))
     if theta is None:
         return SeenBy(plain.law(plain.fitted(unaided)), None)

@@ -24,10 +24,10 @@ from halfseen.view.policy_findings import (
     QCurve,
     TableMap,
     choices,
+    informative,
     policy_maps,
     q_curves,
     table_map,
-    telling,
 )
 from halfseen.workers import ALONE, Workers
 
@@ -155,7 +155,7 @@ def _judged(
     on_progress("learn again")
     seed, workers = options["random_state"], options["workers"]
     curves, band = q_curves(stored, logs, num_replicates, seed, is_own_log=is_own_log, workers=workers)
-    ranked = telling(curves)
+    ranked = informative(curves)
     named = {name: getattr(spec.censoring, of, None) for name, of in ASKED.items()}
     return PolicyFindings(
         record=stored.record,

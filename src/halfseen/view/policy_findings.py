@@ -134,7 +134,7 @@ def _first_states(policy: DiscretePolicy, logs: Logs) -> dict[int, Any]:
     return {stage: rows for stage, rows in states.items() if len(rows) >= FEWEST_STATES}
 
 
-def telling(curves: list[QCurve]) -> list[str]:
+def informative(curves: list[QCurve]) -> list[str]:
     """Covariates by how much they change the actions' values relative to one another, the most influential first."""
     sway = dict.fromkeys((curve.covariate for curve in curves), 0.0)
     for curve in curves:
@@ -233,20 +233,20 @@ class PolicyMap:
         return list(dict.fromkeys([*map(str, np.unique(self.taken)), *map(str, self.done)]))
 
 
-def policy_maps(policy: DiscretePolicy, logs: Logs, telling: list[str]) -> list[PolicyMap]:
+def policy_maps(policy: DiscretePolicy, logs: Logs, informative: list[str]) -> list[PolicyMap]:
     """Compute the maps of the first stages.
 
     Parameters
     ----------
-    telling
+    informative
         Numeric covariates, the most influential first.
     """
-    maps = [_map_of(policy, states, stage, telling) for stage, states in _first_states(policy, logs).items()]
+    maps = [_map_of(policy, states, stage, informative) for stage, states in _first_states(policy, logs).items()]
     return [one for one in maps if one is not None and one.is_supported.mean() >= LEAST_SUPPORTED]
 
 
-def _map_of(policy: DiscretePolicy, states: pd.DataFrame, stage: int, telling: list[str]) -> PolicyMap | None:
-    names = tuple([name for name in telling if states[name].nunique() > 1][:2])
+def _map_of(policy: DiscretePolicy, states: pd.DataFrame, stage: int, informative: list[str]) -> PolicyMap | None:
+    names = tuple([name for name in informative if states[name].nunique() > 1][:2])
     if not names:
         return None
     values = states[list(names)].to_numpy(dtype=np.float64)

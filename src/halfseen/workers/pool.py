@@ -16,7 +16,7 @@ import numpy as np
 
 import halfseen
 from halfseen.errors import HalfseenError, WorkerError
-from halfseen.progress import Telling, telling
+from halfseen.progress import Verbosity, verbosity
 from halfseen.shapes import UInt8
 from halfseen.workers.threads import one_thread
 
@@ -88,7 +88,7 @@ def made(wanted: Mapping[str, str], function: UInt8[np.ndarray, " bytes"], numbe
 
 def result_of(function: Callable[[Any], Any], piece: Any) -> Any:
     """Make a piece as a worker does: no progress output, and one thread, as the number of threads changes sums."""
-    with telling(Telling.NOTHING), one_thread():
+    with verbosity(Verbosity.NOTHING), one_thread():
         return function(piece)
 
 

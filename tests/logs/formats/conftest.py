@@ -8,8 +8,8 @@ from halfseen.logs.formats import mapping_of, read_bag, read_event_table
 
 @pytest.fixture
 def mapping(tmp_path):
-    def write(told=WITHOUT_CLOUD):
-        (tmp_path / "cell.toml").write_text(told if isinstance(told, str) else tables_of(told))
+    def write(message=WITHOUT_CLOUD):
+        (tmp_path / "cell.toml").write_text(message if isinstance(message, str) else tables_of(message))
         return tmp_path / "cell.toml"
 
     return write
@@ -26,15 +26,15 @@ def bag(tmp_path):
 @pytest.fixture
 def read(bag, mapping):
     """Read messages from a bag of ROS."""
-    return lambda messages, told=WITHOUT_CLOUD, **options: read_bag(bag(messages), mapping(told), **options)
+    return lambda messages, message=WITHOUT_CLOUD, **options: read_bag(bag(messages), mapping(message), **options)
 
 
 @pytest.fixture
 def read_mcap(tmp_path, mapping):
     """Read messages from MCAP in some encoding."""
 
-    def read(messages, encode, told=None, name="a.mcap", **options):
-        file = mapping(mapping_for(encode) if told is None else told)
+    def read(messages, encode, message=None, name="a.mcap", **options):
+        file = mapping(mapping_for(encode) if message is None else message)
         return read_bag(write_mcap(tmp_path / name, messages, encode, **options), file)
 
     return read

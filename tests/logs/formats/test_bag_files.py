@@ -77,8 +77,8 @@ def test_fields_of_other_encodings_and_their_header_as_the_clock(read_mcap, enco
     ]
     tables = {"action": "/action text", "reward": "/reward number", "ending": "/end text"}
     tables |= {"covariates.count": "/x counts.1", "covariates.share": "/x shares.cup"}
-    told = 'clock = "header"\n' + tables_of(tables)
-    logs = read_mcap(messages, encode, told)
+    text = 'clock = "header"\n' + tables_of(tables)
+    logs = read_mcap(messages, encode, text)
     assert (logs.elapsed_s().tolist(), logs.end_s.tolist()) == ([[2.5]], [3.0])
     assert logs.stages[["count", "share"]].to_numpy().tolist() == [[2**60, 0.25]]
     for field, message in (
@@ -88,22 +88,22 @@ def test_fields_of_other_encodings_and_their_header_as_the_clock(read_mcap, enco
         ("header", r"name header\.stamp"),
     ):
         with refused(message, ArgumentError):
-            read_mcap(messages, encode, told.replace('"shares.cup"', f'"{field}"'))
+            read_mcap(messages, encode, text.replace('"shares.cup"', f'"{field}"'))
 
 
-def test_what_is_not_set_in_protobuf_is_told(read_mcap):
+def test_what_is_not_set_in_protobuf_is_reported(read_mcap):
     for field in ("header", "raw"):
-        told = mapping_for(as_protobuf).replace('field = "text"', f'field = "{field}"')
+        message = mapping_for(as_protobuf).replace('field = "text"', f'field = "{field}"')
         with refused(rf"field '{field}' is not a single value", ArgumentError):
             read_mcap(
                 two_trajectories(),
                 lambda *_: ("protobuf", SCHEMAS["protobuf"], Said(raw=b"x").SerializeToString()),
-                told,
+                message,
             )
 
 
 @pytest.mark.parametrize(
-    ("encoding", "schema", "content", "told"),
+    ("encoding", "schema", "content", "message"),
     [
         ("json", SCHEMAS["json"], b"{", "not a complete bag"),
         ("json", SCHEMAS["json"], b"[" * 1000 + b"]" * 1000, "nested more than 64 levels"),
@@ -119,8 +119,8 @@ def test_what_is_not_set_in_protobuf_is_told(read_mcap):
         ("flatbuffer", None, b"", "messages are of encoding 'flatbuffer', but only cdr, json, protobuf are supported"),
     ],
 )
-def test_messages_that_are_none_are_told(read_mcap, encoding, schema, content, told):
-    with refused(told):
+def test_messages_that_are_none_are_reported(read_mcap, encoding, schema, content, message):
+    with refused(message):
         read_mcap(two_trajectories(), lambda *_: (encoding, schema, content), mapping_for(as_json))
 
 
@@ -134,7 +134,7 @@ def test_channels_that_nobody_names_need_not_be_known_and_those_that_are_named_m
         read_mcap(two_trajectories()[:3], as_json)
 
 
-def test_a_wrong_checksum_is_told(tmp_path, mapping):
+def test_a_wrong_checksum_is_reported(tmp_path, mapping):
     file = write_mcap(tmp_path / "a.mcap", two_trajectories(), as_json, compression=CompressionType.NONE)
     content = file.read_bytes()
     assert content.count(b"monday-2") == 1

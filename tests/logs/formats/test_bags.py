@@ -30,12 +30,12 @@ in_each_storage = pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
 
 
 def test_the_template_is_a_whole_mapping_and_the_example_of_the_documentation_is_the_template(mapping, tmp_path):
-    told = read_mapping(mapping(MAPPING_TEMPLATE))
+    result = read_mapping(mapping(MAPPING_TEMPLATE))
     keys = ["trajectory", "covariates.occlusion", "cloud", "action", "object", "probability", "reward", "ending"]
-    assert list(told.sources) == keys
-    assert (told.action.topic, told.action.field, told.ending.finished) == ("/pick/action", "data", ["finished"])
+    assert list(result.sources) == keys
+    assert (result.action.topic, result.action.field, result.ending.finished) == ("/pick/action", "data", ["finished"])
     example = inspect.cleandoc(read_mapping.__doc__ or "").partition("are needed::")[2]
-    assert read_mapping(mapping(example)) == told
+    assert read_mapping(mapping(example)) == result
     small = read_mapping(mapping(SMALL))
     assert ([source.topic for source in small.sources.values()], small.clock) == (["/action", "/reward", "/end"], "log")
     with refused(r"none\.toml: it cannot be read .*--mapping-template", ArgumentError):
@@ -79,7 +79,7 @@ BROKEN = [
 ]  # fmt: skip
 
 
-def test_a_mapping_that_is_broken_or_does_not_fit_is_told_with_file_and_key(bag, mapping):
+def test_a_mapping_that_is_broken_or_does_not_fit_is_reported_with_file_and_key(bag, mapping):
     folder, content = bag(one_trajectory(joints(0.0, "/joints", [0.5, 0.75]))), tables_of(SMALL)
     for old, new, message in BROKEN:
         assert old in content
@@ -150,13 +150,13 @@ def test_without_a_beginning_a_bag_is_one_trajectory_and_bags_are_numbered(bag, 
 
 
 def test_a_trajectory_cut_during_an_attempt_keeps_what_was_seen_and_tried(bag, mapping):
-    told = SMALL | {"covariates.x": "/x data"}
+    result = SMALL | {"covariates.x": "/x data"}
     crashed = bag([number(0, "/x", 1.0), text(1, "/action", "A"), number(2, "/x", 2.0)], "crashed")
-    logs = read_bag([crashed, bag(one_trajectory(number(0, "/x", 3.0)))], mapping(told))
+    logs = read_bag([crashed, bag(one_trajectory(number(0, "/x", 3.0)))], mapping(result))
     assert logs.stages[["action", "x"]].to_numpy().tolist() == [["A", 1.0], ["A", 3.0]]
     assert (logs.trajectories["cause"].tolist(), logs.end_s.tolist()) == (["crash", None], [2.0, 2.5])
     with refused(r"no topic '/reward' in .*together with others", ArgumentError):
-        read_bag(crashed, mapping(told))
+        read_bag(crashed, mapping(result))
 
 
 def test_fields_are_paths_into_messages(read):
@@ -204,13 +204,17 @@ def test_actions_may_be_whole_numbers_and_endings_too(read):
 
 
 def test_the_header_may_be_the_clock(read):
-    told = {"action": "/action header.frame_id", "reward": "/reward pose.position.x", "ending": "/end header.frame_id"}
+    result = {
+        "action": "/action header.frame_id",
+        "reward": "/reward pose.position.x",
+        "ending": "/end header.frame_id",
+    }
     messages = [
         pose(5.0, "/reward", 2.0, stamp_s=101.5),  # recorded first, yet stamped after the action
         pose(5.1, "/action", 0.0, stamp_s=100.0),
         pose(7.0, "/end", 0.0, stamp_s=103.5),
     ]
-    logs = read(messages, 'clock = "header"\n' + tables_of(told) + 'finished = ["camera"]')
+    logs = read(messages, 'clock = "header"\n' + tables_of(result) + 'finished = ["camera"]')
     assert (logs.elapsed_s().tolist(), logs.end_s.tolist()) == ([[1.5]], [3.5])
 
 
@@ -233,34 +237,38 @@ B = text(3.0, "/action", "B")
          r"trajectory 'monday-1', stage 1: no message of /camera/occlusion came before"),
     ],
 )  # fmt: skip
-def test_messages_that_make_no_stages_are_told(read, messages, message):
+def test_messages_that_make_no_stages_are_reported(read, messages, message):
     with refused(message, LogError):
         read(messages, SMALL if A in messages or E in messages else WITHOUT_CLOUD)
 
 
 def test_a_trajectory_cut_before_anything_was_seen_is_left_out_with_a_warning(bag, mapping):
     messages = [*two_trajectories(), text(20.0, "/episode/begin", "monday-3"), text(21.0, "/episode/end", "operator")]
-    told = "1 of 3 trajectories are left out, such as 'monday-3': cut before any message of /camera/occlusion came"
-    with pytest.warns(HalfseenWarning, match=told):
+    words = "1 of 3 trajectories are left out, such as 'monday-3': cut before any message of /camera/occlusion came"
+    with pytest.warns(HalfseenWarning, match=words):
         assert read_bag(bag(messages), mapping()).num_trajectories == 2
     messages = [message for message in two_trajectories() if message[1] != "/episode/begin"]
     bags = [bag(messages, "without"), bag([text(0.0, "/episode/begin", "late")], "late")]
-    told = r"no trajectory with a stage was found; check \[trajectory\] in .*cell\.toml"
+    words = r"no trajectory with a stage was found; check \[trajectory\] in .*cell\.toml"
     early = "7 actions, rewards and endings come before the first message of /episode/begin"
     with (
         pytest.warns(HalfseenWarning, match=early),
         pytest.warns(HalfseenWarning, match="'late': cut"),
-        refused(told, LogError),
+        refused(words, LogError),
     ):
         read_bag(bags, mapping())
 
 
-def test_what_is_no_bag_is_told(tmp_path, mapping):
+def test_what_is_no_bag_is_reported(tmp_path, mapping):
     for folder in ("empty", "broken"):
         (tmp_path / folder).mkdir()
     (tmp_path / "broken" / "metadata.yaml").write_text("nonsense: [")
-    for name, told in (("none", "no such bag"), ("empty", "it holds no bag"), ("broken", "it is not a complete bag")):
-        with refused(told, LogError):
+    for name, message in (
+        ("none", "no such bag"),
+        ("empty", "it holds no bag"),
+        ("broken", "it is not a complete bag"),
+    ):
+        with refused(message, LogError):
             read_bag(tmp_path / name, mapping())
 
 
@@ -279,8 +287,8 @@ def test_points_come_out_as_they_went_in(read, dtype, padding):
         return {"object": [0], "occlusion": [0.5]}
 
     logs = read(one_trajectory(cloud(0.0, "/points", POINTS, (2, 3), dtype=dtype, padding=padding)), CLOUD, see=see)
-    ((points_m, *told),) = seen
-    assert told == [(2, 3), "bag-0"]
+    ((points_m, *result),) = seen
+    assert result == [(2, 3), "bag-0"]
     assert np.array_equal(points_m, POINTS.astype(dtype))
     assert logs.objects.to_numpy().tolist() == [[1, 1, 0, 0.5]]
 
@@ -309,7 +317,7 @@ def test_each_stage_has_the_last_cloud_before_its_action_and_only_those_are_read
 
 
 @pytest.mark.parametrize(
-    ("options", "told", "message"),
+    ("options", "expected", "message"),
     [
         ({"axes": "xy"}, CLOUD, r"bag, /points, cloud 0: its fields intensity, x, y lack x, y and z"),
         ({"dtype": "<i4"}, CLOUD, r"lack x, y and z as floats"),
@@ -318,6 +326,6 @@ def test_each_stage_has_the_last_cloud_before_its_action_and_only_those_are_read
         ({}, CLOUD.replace("/points", "/reward"), r"cloud\.topic: /reward carries std_msgs/msg/Float64, not sensor_"),
     ],
 )
-def test_broken_clouds_and_mappings_without_them_are_told(read, options, told, message):
+def test_broken_clouds_and_mappings_without_them_are_reported(read, options, expected, message):
     with refused(message):
-        read(one_trajectory(cloud(0.0, "/points", POINTS, (2, 3), **options)), told, see=lambda *_: {})
+        read(one_trajectory(cloud(0.0, "/points", POINTS, (2, 3), **options)), expected, see=lambda *_: {})

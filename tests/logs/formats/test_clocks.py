@@ -79,8 +79,8 @@ def of_ends(begins):
 @pytest.mark.parametrize("counted", ["each at 0", "running on"])
 @pytest.mark.parametrize("read", [of_d4rl, of_minari])
 def test_times_of_ends_of_steps_begin_at_0_or_where_the_episode_before_ended(tmp_path, read, counted):
-    told = r"t is later .* 2 of 2 times: each begins when the one before ended.*up to 0\.5 s"
-    with pytest.warns(HalfseenWarning, match=told) if counted == "running on" else nullcontext():
+    message = r"t is later .* 2 of 2 times: each begins when the one before ended.*up to 0\.5 s"
+    with pytest.warns(HalfseenWarning, match=message) if counted == "running on" else nullcontext():
         logs = read(tmp_path, of_ends(BEGINS[counted]))
     assert (logs.elapsed_s().tolist(), logs.end_s.tolist()) == ([EACH] * 3, [1.5] * 3)
 
@@ -102,14 +102,14 @@ REFUSED = [
     (OF_OBSERVATIONS, [list(ROUNDED)] * 3,
      r"t holds float32, which rounds its times to multiples of 128 s, and steps last 128 s; write it as"),
 ]  # fmt: skip
-"""By readers: times that do not tell when a step ended, and what is told of them."""
+"""By readers: times that do not tell when a step ended, and what is reported of them."""
 
 
 @pytest.mark.parametrize(
-    ("read", "times", "told"), [(read, times, told) for readers, times, told in REFUSED for read in readers]
+    ("read", "times", "message"), [(read, times, message) for readers, times, message in REFUSED for read in readers]
 )
-def test_a_clock_that_does_not_tell_seconds_is_refused(tmp_path, read, times, told):
-    with refused(told, LogError):
+def test_a_clock_that_does_not_tell_seconds_is_refused(tmp_path, read, times, message):
+    with refused(message, LogError):
         read(tmp_path, times)
 
 
@@ -117,7 +117,7 @@ def test_single_precision_holds_times_of_a_clock_that_begins_at_0():
     refuse_rounded("a", "t", ROUNDED - ROUNDED[0])
 
 
-def test_a_first_step_that_outlasts_the_episode_before_is_believed_and_told():
+def test_a_first_step_that_outlasts_the_episode_before_is_believed_and_reported():
     times = [np.array(each) for each in ([0.5], [0.7, 1.5], [0.2, 0.4])]
     with pytest.warns(HalfseenWarning, match="1 of 2 times: each counts from its own beginning"):
         found = ends_by_steps("a", "t", [0, 1, 2], times)

@@ -59,14 +59,14 @@ WRONG = [
     *((name, None, b"", f": {NO_TABLE}") for name in ("stages.csv", "trajectories.csv")),
     *((name, None, None, ": it is missing") for name in ("stages.csv", "trajectories.csv")),
 ]
-"""File, what stands in it, what is put there, and what is told."""
+"""File, what stands in it, what is put there, and what is reported."""
 TYPES = [
     ("{", "it is not of format .*Expecting property name"),
     ("[]", "it is not of format"),
     ('{"format": "halfseen-csv", "version": 1}', "it is not of format 'halfseen-csv', version 2"),
     *(
-        (f'{{"format": "halfseen-csv", "version": 2, "tables": {tables}}}', told)
-        for tables, told in (
+        (f'{{"format": "halfseen-csv", "version": 2, "tables": {tables}}}', message)
+        for tables, message in (
             ("[]", r"it is not of format .*`\$\.tables`"),
             ('{"trajectories": {"end_s": "metres"}}', "'metres' is unknown"),
             ('{"trajectories": {"end_s": 3}}', "tables.trajectories.end_s is 3, which is not a type"),
@@ -76,7 +76,7 @@ TYPES = [
 ]
 
 
-def check_wrong(folder, name, old, new, told):
+def check_wrong(folder, name, old, new, message):
     file = folder / name
     content = file.read_bytes()
     new = new.encode() if isinstance(new, str) else new
@@ -85,22 +85,22 @@ def check_wrong(folder, name, old, new, told):
     else:
         assert old is None or old.encode() in content
         file.write_bytes(new if old is None else content.replace(old.encode(), new, -1 if old == "," else 1))
-    with refused((name if told.startswith((":", ",")) else "") + told, LogError):
+    with refused((name if message.startswith((":", ",")) else "") + message, LogError):
         read_csv(folder)
     file.write_bytes(content)
 
 
 @pytest.mark.parametrize("has_types", [True, False])
-def test_what_is_wrong_is_told_with_file_row_and_column(folder, has_types):
+def test_what_is_wrong_is_reported_with_file_row_and_column(folder, has_types):
     if not has_types:
         (folder / "columns.json").unlink()
     for case in WRONG:
         check_wrong(folder, *case)
     if has_types:
-        told = r", row 2, column 'hidden_by': '\[0\.0, 0\.0' is not of type list<double>"
-        check_wrong(folder, "objects.csv", '"[0.0, 0.0]"', '"[0.0, 0.0"', told)
-        for types, told in TYPES:
-            check_wrong(folder, "columns.json", None, types, told)
+        message = r", row 2, column 'hidden_by': '\[0\.0, 0\.0' is not of type list<double>"
+        check_wrong(folder, "objects.csv", '"[0.0, 0.0]"', '"[0.0, 0.0"', message)
+        for types, message in TYPES:
+            check_wrong(folder, "columns.json", None, types, message)
 
 
 def test_text_among_numbers_is_refused_without_a_type(folder):
@@ -113,8 +113,10 @@ def test_text_among_numbers_is_refused_without_a_type(folder):
         file.write_text("\n".join([f"{heading},x", *(f"{row},{given[k]}" for k, row in enumerate(rows))]))
         return read_csv(folder).stages["x"]
 
-    told = r"stages\.csv, row 2, column 'x': 'nan' is not a number, though most cells of the column are; fix the cell"
-    with refused(told, LogError):
+    message = (
+        r"stages\.csv, row 2, column 'x': 'nan' is not a number, though most cells of the column are; fix the cell"
+    )
+    with refused(message, LogError):
         read("nan", "0.5", "0.5")
     assert read("7", "0.5").tolist()[:2] == [7.0, 0.5]
     assert read(*["tin", "can"] * len(rows)).tolist()[:2] == ["tin", "can"]

@@ -66,7 +66,7 @@ def test_days_of_a_spreadsheet_are_a_unit_and_guessed_as_such(read_table, draft)
     assert logs.trajectories["cause"].tolist() == [None, "Halt"]
 
 
-def test_stages_that_go_on_at_once_are_told(read_table):
+def test_stages_that_go_on_at_once_are_reported(read_table):
     rows = "began;time;run;tool;worth;over\n1 {};1 10:00:10;1;a;2;\n1 {};1 10:00:20;1;b;2;yes\n"
     mapping = ENDED.replace("FORMAT", "%d %H:%M:%S")
     with pytest.warns(HalfseenWarning, match="line 3: the stage begins before the one above ends, as in 1 of 2 rows"):
@@ -90,20 +90,20 @@ RESPELLED = [
 ]
 
 
-@pytest.mark.parametrize(("old", "new", "told"), RESPELLED)
-def test_a_text_that_the_mapping_spells_otherwise_is_refused(read_table, old, new, told):
-    if told is None:  # another word
+@pytest.mark.parametrize(("old", "new", "message"), RESPELLED)
+def test_a_text_that_the_mapping_spells_otherwise_is_refused(read_table, old, new, message):
+    if message is None:  # another word
         assert ends(read_table(GERMAN.replace(old, new), HISTORIAN))[1][3] == "Strom weg"
         return
-    with refused(told, LogError):
+    with refused(message, LogError):
         read_table(GERMAN.replace(old, new, 1), HISTORIAN)
     named = HISTORIAN.replace('["fertig"]', '["fertig", "FERTIG"]').replace('"Säule" =', '"säule" = "x", "Säule" =')
     read_table(GERMAN.replace(old, new, 1), named.replace('{"Not-Halt', "{NOT-HALT = 'x', \"Not-Halt"))
 
 
 def test_an_event_that_the_mapping_spells_otherwise_is_warned_of(read_table):
-    told = r"1 events 'GEWICHT' are not mapped, and differ from 'Gewicht' only in spelling"
-    with pytest.warns(HalfseenWarning, match=told):
+    message = r"1 events 'GEWICHT' are not mapped, and differ from 'Gewicht' only in spelling"
+    with pytest.warns(HalfseenWarning, match=message):
         logs = read_table(GERMAN.replace("Gewicht;;0,75", "GEWICHT;;0,75"), HISTORIAN)
     assert logs.stages["weight"].tolist()[:2] == [0.5, 0.5]
     both = HISTORIAN.replace('topic = "Gewicht"', 'topic = ["Gewicht", "GEWICHT"]')
@@ -142,8 +142,8 @@ def test_rows_of_one_name_that_stand_apart_are_warned_of(read_table, read_files)
         assert stages(read_table(mixed, HISTORIAN), "weight") == GERMAN_STAGES
 
 
-@pytest.mark.parametrize(("again", "is_told"), [("27T10:05", False), ("29T10:00", True)])
-def test_events_of_one_name_that_are_days_apart_are_warned_of(read_table, again, is_told):
+@pytest.mark.parametrize(("again", "is_reported"), [("27T10:05", False), ("29T10:00", True)])
+def test_events_of_one_name_that_are_days_apart_are_warned_of(read_table, again, is_reported):
     row = "2025-10-{0}:0{1};{2};{3};{4};{5}\n".format
     text = "Zeit;Lauf;Ereignis;Text;Wert\n"
     for time, run in (("27T10:00", 1), ("27T10:01", 2), (again, 1)):
@@ -151,8 +151,10 @@ def test_events_of_one_name_that_are_days_apart_are_warned_of(read_table, again,
             run == 2
         )
         text += "".join(row(time, k, run, *each) for k, each in enumerate(cells))
-    told = "line 9: rows of trajectory 1 have long pauses, as in 1 of 2 trajectories, and each counts as one: if names"
-    with pytest.warns(HalfseenWarning, match=told) if is_told else nullcontext():
+    message = (
+        "line 9: rows of trajectory 1 have long pauses, as in 1 of 2 trajectories, and each counts as one: if names"
+    )
+    with pytest.warns(HalfseenWarning, match=message) if is_reported else nullcontext():
         read_table(text, HISTORIAN.replace('"Zeit"', '"Zeit", zone = "UTC"').replace('"Säule" = "column"', 'x = "y"'))
 
 
@@ -208,9 +210,9 @@ def test_files_that_are_written_otherwise_are_named_as_such(read_files, name, te
         read_files({"a.csv": WIDE, name: text}, STAGES)
 
 
-def test_an_ending_in_every_row_is_told_as_such(read_table):
-    told = r"after its ending at 2 s; .*; fix the times, leave column 'stop' empty in all rows but the last, or have"
-    with refused(told):
+def test_an_ending_in_every_row_is_reported_as_such(read_table):
+    message = r"after its ending at 2 s; .*; fix the times, leave column 'stop' empty in all rows but the last, or have"
+    with refused(message):
         read_table(WIDE.replace("2000,1,", "2000,1,operator"), STAGES)
 
 
@@ -240,9 +242,9 @@ def read_parquet(read_table):
 )
 def test_a_column_without_a_text_form_is_passed_over_unless_it_is_mapped(read_parquet, tmp_path, values):
     assert ends(read_parquet(more=values)) == [("a", 4.0, "finished", None), ("b", 2.5, "cut", "operator")]
-    told = [line for line in mapping_of(tmp_path / "t.parquet").splitlines() if "which is not read" in line]
-    assert len(told) == 1
-    assert told[0].startswith("# Column 'more' holds ")
+    result = [line for line in mapping_of(tmp_path / "t.parquet").splitlines() if "which is not read" in line]
+    assert len(result) == 1
+    assert result[0].startswith("# Column 'more' holds ")
     for column, key in (("seconds left", r"covariates\.left\.field"), ("ms", r"clock\.field")):
         with refused(rf"cell\.toml, {key}: column '{column}' of .* holds (list|struct|duration|binary)", ArgumentError):
             read_parquet(**{column: values})
@@ -258,10 +260,10 @@ def test_fractions_that_round_whole_numbers_are_warned_of(read_parquet, kind, mo
 
 
 @pytest.mark.parametrize("cell", ["NaN", "n/a", "NULL", "-", "#VALUE!", "NaT"])
-def test_what_looks_missing_is_told_as_such(read_table, cell):
-    told = rf"column 'seconds left': '{cell}' is not a number.* if it is missing, leave it empty, or set missing = "
+def test_what_looks_missing_is_reported_as_such(read_table, cell):
+    message = rf"column 'seconds left': '{cell}' is not a number.* if it is missing, leave it empty, or set missing = "
     for old in ("9.5", "6.25"):
-        with refused(told):
+        with refused(message):
             read_table(WIDE.replace(old, cell, 1), STAGES)
     mapping = STAGES.replace('"seconds left"}', f'"seconds left", values = {{"{cell}" = nan}}}}')
     assert ends(read_table(WIDE, mapping)) == ends(read_table(WIDE, STAGES))
@@ -298,9 +300,9 @@ def test_the_mapping_of_events_passes_over_a_column_that_never_changes(read_tabl
     assert stages(logs, "GEWICHT") == [("A1", 1, 4.0, "Sauger", 2.0, 1.25), ("A2", 1, None, "Zange", None, 1.5)]
 
 
-def test_stages_side_by_side_are_told_of_in_the_mapping(draft):
-    told = "wide = \"{name} {stage}\"  # guess: 'Griff', 'Dauer' are by stage"
-    draft("Nr;Griff 1;Dauer 1;Griff 2;Dauer 2\n1;Sauger;1,5;Zange;2,5\n2;Zange;2,5;;\n", told)
+def test_stages_side_by_side_are_reported_of_in_the_mapping(draft):
+    message = "wide = \"{name} {stage}\"  # guess: 'Griff', 'Dauer' are by stage"
+    draft("Nr;Griff 1;Dauer 1;Griff 2;Dauer 2\n1;Sauger;1,5;Zange;2,5\n2;Zange;2,5;;\n", message)
     joints = "run,joint_1,joint_2,tool_1,tool_2,action,t\na,1,2,x,y,go,1\na,1,2,y,x,go,2\n"
     for text in (WIDE, PLC, joints):
         assert "wide = " not in draft(text)
@@ -391,9 +393,9 @@ t;tag;v
 
 
 def test_a_clock_that_starts_again_is_not_mixed_with_what_it_counted_before(read_table):
-    with pytest.warns(HalfseenWarning) as told:
+    with pytest.warns(HalfseenWarning) as caught:
         logs = read_table(RESTARTED, BEGUN)
-    said = [str(each.message).split("events.csv", 1)[1] for each in told]
+    said = [str(each.message).split("events.csv", 1)[1] for each in caught]
     assert said[0].startswith(", line 7: the clock restarts where a trajectory begins, 1 times in all;")
     assert said[1].startswith(": 1 values come before the first beginning of a trajectory; they are left out")
     assert ends(logs) == [(1, 90.0, "cut", "log ended"), (2, 4.5, "finished", None)]
@@ -431,7 +433,7 @@ def test_a_stage_that_was_written_twice_is_warned_of_where_no_clock_tells(read_t
         reward = {field = "worth"}
         ending = {field = "stop", finished = ["done"]}
     """
-    told = "line 4: it repeats the one above, and counts as a stage of its own; if it was written twice, delete it"
-    with pytest.warns(HalfseenWarning, match=told):
+    message = "line 4: it repeats the one above, and counts as a stage of its own; if it was written twice, delete it"
+    with pytest.warns(HalfseenWarning, match=message):
         assert len(read_table(text, mapping).stages) == 5
     assert len(read_table(text.replace("a,2,y,1.5,1,\n", "", 1), mapping).stages) == 4

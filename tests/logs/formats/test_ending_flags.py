@@ -87,7 +87,7 @@ def test_what_was_seen_when_a_trajectory_was_cut_after_its_reward_is_asked_for(r
     assert read_table(rows.format("", ""), BY_FLAGS).stages["left"].tolist() == [5.0, 4.0, 5.0]
 
 
-def test_rows_with_the_newest_first_are_told_to_be_sorted(read_table):
+def test_rows_with_the_newest_first_are_reported_to_be_sorted(read_table):
     first, *rows = FLAGGED.splitlines()
     with refused(
         r"after its ending at 4 s; the oldest row must be first, since times count from each stage; sort the "

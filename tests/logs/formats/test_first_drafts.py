@@ -12,10 +12,10 @@ STOPS = """run,tool,t,score,status
 
 
 def test_an_empty_cell_is_no_finish_where_each_trajectory_has_an_ending(draft):
-    told = '# guess: endings that are not cuts, "" for an empty cell'
-    draft(STOPS.format(one="SUCCEEDED", other="PREEMPTED"), f'finished = ["SUCCEEDED"]  {told}')
-    draft(STOPS.format(one="grün", other="rot"), f"finished = []  {told}")
-    draft(STOPS.format(one="rot", other=""), f'finished = [""]  {told}')
+    message = '# guess: endings that are not cuts, "" for an empty cell'
+    draft(STOPS.format(one="SUCCEEDED", other="PREEMPTED"), f'finished = ["SUCCEEDED"]  {message}')
+    draft(STOPS.format(one="grün", other="rot"), f"finished = []  {message}")
+    draft(STOPS.format(one="rot", other=""), f'finished = [""]  {message}')
 
 
 TIMES = "run,tool,{name},score,stop\n" + "".join(
@@ -95,7 +95,7 @@ def test_the_unit_is_taken_from_the_name_however_it_is_written(draft, name, unit
     draft(TRIAL.replace("VISITDY", name), f'unit = "{unit}"  # guess: s, ms, us, ns, min, h or d')
 
 
-def test_what_no_event_looks_like_is_told_with_its_event(draft):
+def test_what_no_event_looks_like_is_reported_with_its_event(draft):
     made = draft(
         "ts,event,value\n"
         + "".join(f"{second},{tag},{second}\n" for second, tag in enumerate(["START", "GRIP", "PV"])),

@@ -205,7 +205,7 @@ def test_an_event_that_stands_there_twice_counts_once(read_table, event):
 @pytest.mark.parametrize(
     ("good", "bad"), [("Good", "Bad"), ("StatusCode(Good)", "StatusCode(BadNoData)"), ("192", "0")]
 )
-def test_values_of_bad_quality_are_told_of(read_table, good, bad):
+def test_values_of_bad_quality_are_reported_of(read_table, good, bad):
     heading, *rows = WIDE.splitlines()
     text = "\n".join([f"{heading},q", *(f"{row},{bad if k == 2 else good}" for k, row in enumerate(rows))])
     with pytest.warns(HalfseenWarning, match=r"column 'q': it is '.*' in 1 rows, whose values count like any others"):
@@ -213,14 +213,14 @@ def test_values_of_bad_quality_are_told_of(read_table, good, bad):
     read_table(text.replace(good, "7"), STAGES)
 
 
-@pytest.mark.parametrize("is_told", [True, False])
-def test_times_of_day_that_are_written_as_numbers_are_told_of(read_table, is_told):
-    times = [100 * (100 * 9 + 55 + k) + 7 * k % 60 + (60 if k == 3 and not is_told else 0) for k in range(5)]
+@pytest.mark.parametrize("is_reported", [True, False])
+def test_times_of_day_that_are_written_as_numbers_are_reported_of(read_table, is_reported):
+    times = [100 * (100 * 9 + 55 + k) + 7 * k % 60 + (60 if k == 3 and not is_reported else 0) for k in range(5)]
     times += [100 * (100 * 10 + k) + 7 * k % 60 for k in range(12)]
     text = "run,tool,s,worth,stop\n" + "".join(f"a,x,{time},1,\n" for time in times)
     mapping = STAGES.replace('"ms", unit = "ms"', '"s", unit = "s"').split("covariates")[0]
-    told = r"times such as '95500' look like hours, minutes and seconds"
-    with pytest.warns(HalfseenWarning, match=told) if is_told else nullcontext():
+    message = r"times such as '95500' look like hours, minutes and seconds"
+    with pytest.warns(HalfseenWarning, match=message) if is_reported else nullcontext():
         read_table(text, mapping)
 
 

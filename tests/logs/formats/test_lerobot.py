@@ -36,7 +36,7 @@ def read_quietly(folder, rules=None):
         (["ok"], StepRules(done="ok"), [CUT, CUT, FINISHED]),
     ],
 )
-def test_each_ending_is_told_by_a_feature(tmp_path, columns, rules, endings):
+def test_each_ending_is_reported_by_a_feature(tmp_path, columns, rules, endings):
     found = episodes()
     flags = {"next.success": [YES, NO, NO], "next.done": [NO, YES, NO], "ok": [NO, NO, YES]}
     write_lerobot(tmp_path, found, extra={name: last_of(found, flags[name]) for name in columns})
@@ -46,25 +46,25 @@ def test_each_ending_is_told_by_a_feature(tmp_path, columns, rules, endings):
 
 
 @pytest.mark.parametrize(
-    ("rules", "ending", "told"),
+    ("rules", "ending", "message"),
     [(StepRules(), CUT, r"each was cut \(truncated\)"), (StepRules(truncated="finished"), FINISHED, "each finished")],
 )
-def test_what_nobody_says_of_endings_is_told(tmp_path, rules, ending, told):
+def test_what_nobody_says_of_endings_is_reported(tmp_path, rules, ending, message):
     found = episodes()
     write_lerobot(tmp_path, found)
-    with pytest.warns(HalfseenWarning, match=rf"none of next\.done, .* says how .*{told}"):
+    with pytest.warns(HalfseenWarning, match=rf"none of next\.done, .* says how .*{message}"):
         logs = read_lerobot(tmp_path, rules)
     assert_is(logs, expected(found, [ending] * 3, times_of(found, 0.1), STATE, has_last=False), 1e-12)
 
 
-def test_pictures_and_what_came_of_a_step_are_passed_over_and_told_and_tasks_are_words(tmp_path):
+def test_pictures_and_what_came_of_a_step_are_passed_over_and_reported_and_tasks_are_words(tmp_path):
     found = episodes()
     extra = {"next.terminated": last_of(found, [True] * 3), "task_index": [1, 1, 1, 0, 1, 1, 1, 1]}
     extra |= {"observation.image": [b"png"] * 8, "effort": list(range(8)), "observation.lit": [True, False] * 4}
     pictures = {"observation.image": {"dtype": "image"}, "observation.video": {"dtype": "video"}}
     write_lerobot(tmp_path, found, extra=extra, features=pictures, tasks=["grasp", "place"])
-    told = r"left out are observation\.image \(pictures\), effort, observation\.video"
-    with pytest.warns(HalfseenWarning, match=told):
+    message = r"left out are observation\.image \(pictures\), effort, observation\.video"
+    with pytest.warns(HalfseenWarning, match=message):
         logs = read_lerobot(tmp_path)
     assert sorted(logs.stage_covariates) == ["observation.lit", *STATE, "task"]
     assert logs.stages["task"].tolist() == ["place"] * 3 + ["grasp"] + ["place"] * 4
@@ -226,10 +226,10 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("make", "case"), [(make, case) for make, cases in WRONG.items() for case in cases])
-def test_what_is_wrong_is_told_in_one_line(tmp_path, make, case):
-    other, told, *rules = case
+def test_what_is_wrong_is_reported_in_one_line(tmp_path, make, case):
+    other, result, *rules = case
     read = make(tmp_path, **other)
-    with refused(told):
+    with refused(result):
         read(*rules)
 
 
@@ -260,11 +260,11 @@ def test_an_episode_without_frames_is_none(tmp_path):
     assert read_lerobot(tmp_path).num_trajectories == 3
 
 
-def test_a_dataset_that_was_copied_in_part_is_told(tmp_path):
+def test_a_dataset_that_was_copied_in_part_is_reported(tmp_path):
     write_lerobot(tmp_path, episodes())
     file, info = tmp_path / "data" / "chunk-000" / "file-001.parquet", tmp_path / "meta" / "info.json"
     content, counted = file.read_bytes(), tmp_path / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
-    for harm, told in (
+    for harm, message in (
         (lambda: file.write_bytes(content[: len(content) // 2]), r"file-001\.parquet: it is not a complete table"),
         (lambda: pq.write_table(pa.table({"other": [1]}), file), r"file-001\.parquet"),
         (file.unlink, "episode 2: meta/episodes counts 4 frames, but data has 0"),
@@ -273,5 +273,5 @@ def test_a_dataset_that_was_copied_in_part_is_told(tmp_path):
         (info.unlink, "info.json: it cannot be read"),
     ):
         harm()
-        with refused(told):
+        with refused(message):
             read_quietly(tmp_path)

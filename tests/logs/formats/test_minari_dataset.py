@@ -38,7 +38,7 @@ def flat():
 # Written by halfseen.
 
 
-def test_a_full_disk_is_told_in_one_line_and_nothing_is_left(flat, root):
+def test_a_full_disk_is_reported_in_one_line_and_nothing_is_left(flat, root):
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limits[1]))
     try:
@@ -156,7 +156,7 @@ IN_WORDS = {"observation_space": spaces.Text(4), "observations": ["a", "b", "c",
 
 
 @pytest.mark.parametrize(
-    ("endings", "other", "options", "told"),
+    ("endings", "other", "options", "message"),
     [
         ((LAST, NO), {}, {"clock": "time"}, r"dataset hand-v0, episode 0: there is no info 'time' among note, t"),
         ((LAST, NO), {}, {"clock": "note"}, "info 'note' is object"),
@@ -173,13 +173,13 @@ IN_WORDS = {"observation_space": spaces.Text(4), "observations": ["a", "b", "c",
         ),
     ],
 )
-def test_what_is_wrong_is_told(endings, other, options, told):
+def test_what_is_wrong_is_reported(endings, other, options, message):
     dataset = write_minari_episodes("hand-v0", [endings], **other)
-    with refused(told):
+    with refused(message):
         read_minari(dataset, **options)
 
 
-def test_what_is_not_there_is_told(root):
+def test_what_is_not_there_is_reported(root):
     (root / "broken-v0" / "data").mkdir(parents=True)
     with refused("dataset nowhere-v0: it cannot be loaded .*`minari list local`", ArgumentError):
         read_minari("nowhere-v0")

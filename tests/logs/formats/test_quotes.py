@@ -1,4 +1,4 @@
-"""A stray quote takes the rows below it into its cell, and is told."""
+"""A stray quote takes the rows below it into its cell, and is reported."""
 
 import pytest
 
@@ -27,17 +27,17 @@ def quoted(heading, row, *lines):
     return "\n".join(rows) + "\n"
 
 
-@pytest.mark.parametrize(("lines", "told"), [((6,), NEVER_CLOSED), ((6, 20), LIKE_ROWS)])
-def test_a_stray_quote_in_others_tables_is_refused_with_its_line(tmp_path, read_table, lines, told):
-    with refused(told, LogError):
+@pytest.mark.parametrize(("lines", "message"), [((6,), NEVER_CLOSED), ((6, 20), LIKE_ROWS)])
+def test_a_stray_quote_in_others_tables_is_refused_with_its_line(tmp_path, read_table, lines, message):
+    with refused(message, LogError):
         read_table(quoted("run,tool,s,worth,stop", "{0},a,{0},1,x", *lines), MAPPING)
     names = "episode_id,is_first,is_last,is_terminal,observation,action,reward,note"
     (tmp_path / "steps.csv").write_text(quoted(names, "{0},true,false,false,1.5,a,1,x", *lines))
-    with refused(told, LogError):
+    with refused(message, LogError):
         read_steps(tmp_path / "steps.csv", StepRules(step_s=1.0))
 
 
-def test_a_stray_quote_in_logs_as_csv_is_told(tmp_path):
+def test_a_stray_quote_in_logs_as_csv_is_reported(tmp_path):
     stages = ("trajectory,stage,elapsed_s,action,reward,note", "{},1,1.0,a,1,x")
     trajectories = ("trajectory,end_s,ending,note", "{},1.0,finished,x")
 
@@ -76,19 +76,19 @@ MARKED = "\ufeff3,x,1,1,\n"
 
 
 @pytest.mark.parametrize(
-    ("below", "told"),
+    ("below", "message"),
     [("{0}3,x,1,1,\n", "line 4: the heading stands here"), (MARKED, "line 4: a byte order mark is here")],
 )
-def test_a_file_below_another_is_refused_in_each_table(tmp_path, read_table, below, told):
+def test_a_file_below_another_is_refused_in_each_table(tmp_path, read_table, below, message):
     heading = "run,tool,s,worth,stop\n"
-    with refused(told, LogError):
+    with refused(message, LogError):
         read_table(heading + "1,x,1,1,\n2,x,1,1,\n" + below.format(heading), MAPPING)
     heading = "episode_id,is_last,is_terminal,observation,action,reward\n"
     (tmp_path / "s.csv").write_text(heading + "a,false,false,1,x,1\na,true,true,1,,\n" + below.format(heading))
-    with refused(told, LogError):
+    with refused(message, LogError):
         read_steps(tmp_path / "s.csv", StepRules(step_s=1.0))
     heading = "trajectory,end_s,ending\n"
     (tmp_path / "stages.csv").write_text("trajectory,stage,elapsed_s,action,reward\n1,1,1,x,1\n2,1,1,x,1\n")
     (tmp_path / "trajectories.csv").write_text(heading + "1,1,finished\n2,1,finished\n" + below.format(heading))
-    with refused(told, LogError):
+    with refused(message, LogError):
         read_csv(tmp_path)

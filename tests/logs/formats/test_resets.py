@@ -152,7 +152,7 @@ def test_times_of_0_beside_dates_are_refused(tmp_path, clock):
         read_bag(write_bag(tmp_path / "wrong", wrong), tmp_path / "cell.toml")
 
 
-def test_parts_of_one_recording_that_are_given_as_bags_are_told(tmp_path):
+def test_parts_of_one_recording_that_are_given_as_bags_are_reported(tmp_path):
     """ROS 2 splits long recordings into NAME_0.mcap, NAME_1.mcap and so on."""
     times = [("/x", 0.0), ("/action", 0.5), ("/reward", 2.0), ("/action", 2.5), ("/reward", 4.0), ("/end", 5.0)]
     messages = [pose(10.0 + at, topic, 1.0, stamp_s=at) for topic, at in times]
@@ -173,9 +173,9 @@ def test_parts_of_one_recording_that_are_given_as_bags_are_told(tmp_path):
         [*messages[3:], pose(20.0, "/begin", 0.0, stamp_s=9.0)],
     )
     parts = [write_mcap(tmp_path / f"begun_{k}.mcap", part, as_ros) for k, part in enumerate(begun)]
-    told = r"begun_1\.mcap: 3 actions, rewards and endings come before the first message of /begin, and are left out"
+    message = r"begun_1\.mcap: 3 actions, rewards and endings come before the first message of /begin, and are left out"
     with (
-        pytest.warns(HalfseenWarning, match=told),
+        pytest.warns(HalfseenWarning, match=message),
         pytest.warns(HalfseenWarning, match="cut as it began; give the time"),
     ):
         read_bag(parts, file)

@@ -96,8 +96,8 @@ def test_what_is_read_stays_as_it_is(database):
 COLUMNS = "SELECT trajectory, stage, elapsed_s, action, "
 
 
-def test_what_is_wrong_is_told_in_one_line(database, monkeypatch):
-    for stages, told in (
+def test_what_is_wrong_is_reported_in_one_line(database, monkeypatch):
+    for stages, message in (
         ("SELECT * FROM stage", r"cell\.db, stages: the database refuses 'SELECT \* FROM stage' \(no such table"),
         ("SELECT FROM stages", r"the database refuses .*syntax error"),
         ("SELECT trajectory, stage FROM stages", r"cell\.db: stages: there is no column 'elapsed_s'"),
@@ -108,7 +108,7 @@ def test_what_is_wrong_is_told_in_one_line(database, monkeypatch):
         (f"{COLUMNS} reward, 9e999 AS x FROM stages", r"covariate x is inf"),
         (f"{COLUMNS} NULL AS reward FROM stages", r"its reward is nan"),
     ):  # fmt: skip
-        with refused(told):
+        with refused(message):
             read_sql(database, Queries(stages, TWO.trajectories))
     # Rows without end.
     monkeypatch.setattr("halfseen.logs.formats.sql_rows.ROWS_AT_ONCE", 1000)
@@ -119,7 +119,7 @@ def test_what_is_wrong_is_told_in_one_line(database, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("url", "told"),
+    ("url", "message"),
     [
         ("nowhere", "it is no database address; give sqlite:///FILE or DIALECT://"),
         ("sqlite://", "it names no file"),
@@ -139,11 +139,11 @@ def test_what_is_wrong_is_told_in_one_line(database, monkeypatch):
         ("mysql+pymysql://me@host/cell?password=hidden", r"me@host/cell\?password=\*\*\*: "),
     ],
 )
-def test_an_address_that_leads_nowhere_is_told_without_its_password(url, told, tmp_path, monkeypatch):
+def test_an_address_that_leads_nowhere_is_reported_without_its_password(url, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("a.db").write_bytes(b"no database" * 100)
     os.mkfifo("pipe.db")
-    with refused(told) as caught:
+    with refused(message) as caught:
         read_sql(url, TWO)
     assert "hid" not in str(caught.value)
 
@@ -152,7 +152,7 @@ def test_queries_come_from_a_file(tmp_path):
     file = tmp_path / "cell.toml"
     file.write_text('stages = "SELECT 1"\ntrajectories = "SELECT 2"\nobjects = "SELECT 3"\n')
     assert read_queries(file) == Queries("SELECT 1", "SELECT 2", "SELECT 3")
-    for content, told in (
+    for content, message in (
         ('stages = "SELECT 1"', "trajectories: it is missing"),
         ("stages = 1\ntrajectories = 2", "stages: expected `str`, got `int`"),
         ('stages = "DROP x"\ntrajectories = "SELECT 1"', "stages 'DROP x': it is not a single SELECT"),
@@ -160,7 +160,7 @@ def test_queries_come_from_a_file(tmp_path):
         ("stages =", "it is not valid TOML"),
     ):
         file.write_text(content)
-        with refused(rf"cell\.toml.*{told}"):
+        with refused(rf"cell\.toml.*{message}"):
             read_queries(file)
     with refused("it cannot be read"):
         read_queries(tmp_path / "none.toml")
@@ -246,12 +246,12 @@ def fill(url):
 def test_a_log_in_postgresql_is_read_and_nothing_else_is_done_there(server):
     fill(server)
     assert_is_the_log(read_sql(server, ALL))
-    for query, told in (
+    for query, message in (
         ("WITH gone AS (DELETE FROM stages RETURNING *) SELECT * FROM gone", "must not contain data-modifying"),
         ("SELECT nextval('numbers')", "cannot execute nextval.* in a read-only transaction"),
         ("SELECT * FROM nowhere", 'relation "nowhere" does not exist'),
     ):
-        with refused(f"stages: the database refuses .*{told}"):
+        with refused(f"stages: the database refuses .*{message}"):
             read_sql(server, Queries(query, ALL.trajectories))
     for wrong in (server.replace(PASSWORD, "hidden"), server.replace("/postgres?", "/nowhere?")):
         with refused("it cannot be reached or read") as caught:
@@ -273,8 +273,8 @@ def test_a_log_in_duckdb_is_read_and_nothing_is_written(tmp_path):
     assert_is_the_log(read_sql(f"duckdb:///{file}", ALL))
     with refused("the database refuses .*read-only"):
         read_sql(f"duckdb:///{file}", Queries("WITH n AS (SELECT 1) DELETE FROM stages", ALL.trajectories))
-    for nowhere, told in (("", "it names no file; give duckdb:///FILE"), (tmp_path / "none", "it cannot be read")):
-        with refused(told):
+    for nowhere, message in (("", "it names no file; give duckdb:///FILE"), (tmp_path / "none", "it cannot be read")):
+        with refused(message):
             read_sql(f"duckdb:///{nowhere}", TWO)
     assert [path.name for path in tmp_path.iterdir()] == ["cell.duckdb"]
     assert file.read_bytes() == before

@@ -41,7 +41,7 @@ def test_a_text_among_numbers_is_no_category(read):
         read("a", "b", "go", "")
 
 
-def test_a_text_among_rewards_and_other_separators_are_told(tmp_path):
+def test_a_text_among_rewards_and_other_separators_are_reported(tmp_path):
     file = tmp_path / "steps.csv"
     file.write_text(STEPS.format("a", "b", "go", "1.5").replace("0.5,,\nb", "0.5,NA,NA\nb"))
     with refused(r"steps\.csv, row 1: reward is 'NA', not a number; fix it, or name another column as reward"):

@@ -153,16 +153,16 @@ def test_a_named_column_is_the_clock(tmp_path):
     assert logs.end_s.tolist() == [2.0, 1.25]
 
 
-def test_structs_are_taken_apart_and_the_rest_is_left_out_and_told(tmp_path):
+def test_structs_are_taken_apart_and_the_rest_is_left_out_and_reported(tmp_path):
     found = episodes(lengths=(2,))
     rows = rows_of(found, [False])
     for k, row in enumerate(rows):
         x, y = row.pop("observation")
         row |= {"observation": {"arm": {"x": x, "q": [y, [2.0, 3.0][k % 2]]}, "lit": k == 1, "lamp": "on"}}
         row |= {"discount": 1.0, "reward": 5.0, "observation.image": [0] * 1001}
-    with pytest.warns(HalfseenWarning) as told:
+    with pytest.warns(HalfseenWarning) as caught:
         logs = read_steps(write_rows(tmp_path / "steps", rows), SECONDS)
-    said = " ".join(str(each.message) for each in told)
+    said = " ".join(str(each.message) for each in caught)
     for words in (
         "left out are discount: they were not known before the action",
         "1 rewards other than 0 are in rows that are is_last, which hold no action: they are not read",
@@ -190,7 +190,7 @@ def test_steps_may_be_a_list_in_the_row_of_their_episode(tmp_path, has_name):
         assert_is(read_steps(tmp_path / f"steps.{kind}", SECONDS), wanted)
 
 
-def test_an_episode_without_steps_is_left_out_and_told(tmp_path):
+def test_an_episode_without_steps_is_left_out_and_reported(tmp_path):
     rows = rows_of(episodes(lengths=(2,)), [False])
     pq.write_table(pa.table({"steps": [rows, [], None]}), tmp_path / "steps.parquet")
     with pytest.warns(HalfseenWarning, match="left out: 2 of 3 episodes, without steps in 'steps'"):
@@ -260,7 +260,7 @@ def test_each_ending_of_arrays_has_its_meaning(tmp_path, has_next, flags, trunca
     assert_is(logs, expected(found, endings, times_of(found, 0.5), IN_ARRAYS, has_last=has_next))
 
 
-def test_without_timeouts_that_is_told(tmp_path):
+def test_without_timeouts_that_is_reported(tmp_path):
     found = episodes()
     file = write_arrays(tmp_path / "a.hdf5", arrays(found, terminated=[0, 1, 2]) | {"timeouts": None})
     with pytest.warns(HalfseenWarning, match="no timeouts"), pytest.warns(HalfseenWarning, match="counts as 1 s"):
@@ -268,7 +268,7 @@ def test_without_timeouts_that_is_told(tmp_path):
     assert_is(logs, expected(found, [FINISHED] * 3, times_of(found), IN_ARRAYS))
 
 
-def test_ends_that_observations_contradict_are_told(tmp_path):
+def test_ends_that_observations_contradict_are_reported(tmp_path):
     found = episodes(0, (3, 2, 4, 2))
     lost = write_arrays(tmp_path / "lost.hdf5", arrays(found, terminated=(0, 2, 3)))
     with pytest.warns(HalfseenWarning, match=r"in row 4 next_observations are not the obs.* in 1 rows: mark the ends"):
@@ -283,7 +283,7 @@ def test_ends_that_observations_contradict_are_told(tmp_path):
 
 
 @pytest.mark.parametrize(("by", "word"), [(-1, "early"), (1, "late")])
-def test_ends_that_are_marked_beside_a_jump_are_told(tmp_path, by, word):
+def test_ends_that_are_marked_beside_a_jump_are_reported(tmp_path, by, word):
     rows = arrays(episodes(0, (4, 5, 4, 5, 4, 5)), timed_out=range(6), has_next=False)
     is_end = rows["timeouts"]
     rows["observations"] = [[k - at, k] for at, k in zip(np.cumsum([0, *is_end[:-1]]) * 9, range(27), strict=True)]
@@ -295,7 +295,7 @@ def test_ends_that_are_marked_beside_a_jump_are_told(tmp_path, by, word):
         read_step_arrays(write_arrays(tmp_path / "shifted.hdf5", rows), SECONDS)
 
 
-def test_a_row_in_which_an_environment_reset_itself_is_told(tmp_path):
+def test_a_row_in_which_an_environment_reset_itself_is_reported(tmp_path):
     found = episodes(0, (3, 2, 4, 2))
     for before, after in pairwise(found):
         after["observed"].insert(0, before["observed"][-1])
@@ -306,7 +306,7 @@ def test_a_row_in_which_an_environment_reset_itself_is_told(tmp_path):
         read_step_arrays(file, SECONDS)
 
 
-def test_a_flag_that_stays_true_is_told(tmp_path):
+def test_a_flag_that_stays_true_is_reported(tmp_path):
     rows = arrays(episodes(0, (9,)), has_next=False) | {"terminals": np.arange(9) > 4}
     with pytest.warns(HalfseenWarning, match="terminals is true in row 6 and in the one above, as in 3 rows, and each"):
         read_step_arrays(write_arrays(tmp_path / "a.hdf5", rows), SECONDS)
@@ -349,7 +349,7 @@ def large(root, other):
 
 
 @pytest.mark.parametrize(
-    ("put", "told"),
+    ("put", "message"),
     [
         (linked(lambda _: h5py.SoftLink("/actions")), "rewards is a link"),
         (linked(lambda other: h5py.ExternalLink(str(other), "/actions")), "rewards is a link"),
@@ -359,13 +359,13 @@ def large(root, other):
         (large, "unpacked, it has 64,000 MB"),
     ],
 )
-def test_nothing_outside_the_file_or_without_end_is_read(tmp_path, put, told):
+def test_nothing_outside_the_file_or_without_end_is_read(tmp_path, put, message):
     rows = arrays(episodes(), terminated=[0, 1, 2])
     other = write_arrays(tmp_path / "other.hdf5", rows)
     file = write_arrays(tmp_path / "a.hdf5", rows | {"rewards": None})
     with h5py.File(file, "a") as root:
         put(root, other)
-    with pytest.raises(HalfseenError, match=told):
+    with pytest.raises(HalfseenError, match=message):
         read_step_arrays(file)
 
 
@@ -443,14 +443,14 @@ WRONG = {
 
 @pytest.mark.filterwarnings("ignore:.*which hold no action:halfseen.errors.HalfseenWarning")
 @pytest.mark.parametrize(("make", "case"), [(make, case) for make, cases in WRONG.items() for case in cases])
-def test_what_is_wrong_is_told_in_one_line(tmp_path, make, case):
-    other, told, *rules = case
+def test_what_is_wrong_is_reported_in_one_line(tmp_path, make, case):
+    other, result, *rules = case
     read = make(tmp_path, **other)
-    with refused(told):
+    with refused(result):
         read(*rules or [SECONDS])
 
 
-def test_a_table_without_rows_is_told(tmp_path):
+def test_a_table_without_rows_is_reported(tmp_path):
     (tmp_path / "steps.csv").write_text("is_first,is_last,is_terminal,observation.x,action,reward\n")
     with pytest.raises(HalfseenError, match=r"steps\.csv: there are no rows; give a table"):
         read_steps(tmp_path / "steps.csv")

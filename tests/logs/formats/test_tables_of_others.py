@@ -85,8 +85,8 @@ def test_the_index_of_pandas_and_r_is_a_column(read_table, draft):
 def test_a_text_for_missing_is_no_name(read_table, column, text):
     table = seen("red", text, "blue") if column == "c" else seen("red", "red", "blue")
     table = table.replace("r1,x", {"tool": f"r1,{text}", "c": "r1,x", "run": f"{text},x"}[column])
-    told = rf"line 3, column '{column}': '{text}' may mean that nothing is there: set missing = \[\"{text}\"\] in"
-    with refused(told):
+    message = rf"line 3, column '{column}': '{text}' may mean that nothing is there: set missing = \[\"{text}\"\] in"
+    with refused(message):
         read_table(table, SEEN)
     if column != "c":
         return
@@ -105,9 +105,9 @@ def test_a_mark_for_nothing_in_any_letters_is_no_cause(read_table, text):
 @pytest.mark.parametrize("codes", [("1", "0"), ("2", "1"), ("yes", "no")])
 def test_a_status_of_codes_none_of_which_means_finished_is_doubted(read_table, codes):
     table = "run,tool,ms,worth,stop\na,x,10,1,{0}\nb,x,20,,{1}\nc,x,30,1,{0}\n".format(*codes)
-    with pytest.warns(HalfseenWarning) as told:
+    with pytest.warns(HalfseenWarning) as caught:
         read_table(table, PLAIN.replace('[""]', "[]"))
-    assert f"'stop' has no finished trajectory, and cuts by {', '.join(sorted(codes))}; if" in str(told[-1].message)
+    assert f"'stop' has no finished trajectory, and cuts by {', '.join(sorted(codes))}; if" in str(caught[-1].message)
 
 
 def test_no_cause_of_a_cut_is_a_mark_for_nothing(read_table):
@@ -163,8 +163,8 @@ covariates.w = {topic = "see", field = "val"}
 @pytest.mark.parametrize("is_each", [True, False])
 def test_rows_may_stand_newest_first_within_each_trajectory(read_table, is_each):
     """The last three events of a trajectory have one second, so that only the order of rows tells theirs."""
-    told = (0, "see;;5"), (1, "act;x;"), (2, "res;;1"), (3, "see;;6"), (3, "act;y;"), (4, "res;;2"), (4, "end;done;")
-    runs = [[f"2025-01-0{day}T00:00:0{s}Z;r{day};{what}\n" for s, what in told] for day in (1, 2)]
+    message = (0, "see;;5"), (1, "act;x;"), (2, "res;;1"), (3, "see;;6"), (3, "act;y;"), (4, "res;;2"), (4, "end;done;")
+    runs = [[f"2025-01-0{day}T00:00:0{s}Z;r{day};{what}\n" for s, what in message] for day in (1, 2)]
     text = "".join(row for run in runs for row in (run[::-1] if is_each else run))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -176,8 +176,8 @@ def test_rows_may_stand_newest_first_within_each_trajectory(read_table, is_each)
 
 def test_one_clock_for_trajectories_of_one_stage_is_warned_of(read_table):
     rows = [f"r{k},x,{1500 * (k + 1)},1,\n" for k in range(5)]
-    told = r"column 'ms': times continue from one trajectory to the next"
-    with pytest.warns(HalfseenWarning, match=told):
+    message = r"column 'ms': times continue from one trajectory to the next"
+    with pytest.warns(HalfseenWarning, match=message):
         read_table("run,tool,ms,worth,stop\n" + "".join(rows), PLAIN)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -182,8 +182,8 @@ def test_each_loss_is_named_with_its_column():
     tables["trajectories"] = tables["trajectories"].assign(**more)
     logs = Logs(**tables)
     in_csv, in_minari = (losses(logs, form) for form in ("csv", "minari"))
-    told = "holds struct<x: double>, which cannot be written as text; drop it, or convert it to numbers"
-    assert str(in_csv[0]).startswith(f"stages: column 'pose' {told}")
+    message = "holds struct<x: double>, which cannot be written as text; drop it, or convert it to numbers"
+    assert str(in_csv[0]).startswith(f"stages: column 'pose' {message}")
     assert [loss.table for loss in in_csv] == ["stages", "trajectories", "trajectories", "trajectories"]
     assert [loss.column for loss in in_csv] == ["pose", "raw", "serial", "two\nlines"]
     found = [(loss.column, loss.is_refused) for loss in in_minari]
@@ -202,7 +202,7 @@ def test_each_loss_is_named_with_its_column():
 
 def test_what_steps_cannot_carry_is_named():
     tables = small_tables()
-    told = ["stages.object", "stages.probability", "trajectories.cause", "trajectories.scene", "objects"]
-    assert seen_by_halfseen_alone(Logs(**tables)) == told
+    result = ["stages.object", "stages.probability", "trajectories.cause", "trajectories.scene", "objects"]
+    assert seen_by_halfseen_alone(Logs(**tables)) == result
     bare = Logs(tables["stages"].drop(columns=["object", "probability"]), tables["trajectories"].drop(columns="scene"))
     assert seen_by_halfseen_alone(bare.select([1])) == []

@@ -148,7 +148,7 @@ def test_a_wide_table_that_makes_no_stages_is_refused(read_table, old, new, mess
         read_table(SEEN.replace(old, new, 1), mapping)
 
 
-def test_what_comes_after_the_last_action_and_rows_without_a_stage_are_told(read_table):
+def test_what_comes_after_the_last_action_and_rows_without_a_stage_are_reported(read_table):
     with pytest.warns(HalfseenWarning, match=r"column 'sofa\.3' comes after the last action; it is not read"):
         read_table(SEEN.replace('"age"', '"sofa.3"'), TRIAL.replace('covariates.age = {field = "age"}\n', ""))
     nobody = SEEN + '"p5",40,NA,NA,NA,NA,NA,NA,NA,"withdrew"\n'

@@ -55,10 +55,10 @@ def finished(logs):
     return {trajectory for trajectory, (_, is_finished) in as_recorded(logs).items() if is_finished}
 
 
-def logs_or_none(folder, *told):
+def logs_or_none(folder, *message):
     """Logs, or None where nothing is recorded yet."""
     try:
         return read_logs(folder)
     except LogError as error:
-        assert any(words in str(error) for words in ("no stage is recorded yet", *told))  # noqa: PT017
+        assert any(words in str(error) for words in ("no stage is recorded yet", *message))  # noqa: PT017
         return None

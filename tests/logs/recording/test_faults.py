@@ -68,27 +68,27 @@ def full(num_bytes=20_000):
 
 def until_it_is_taken(on_refusal, call, *given, **named):
     """Give an event again until it is taken; returns what was said each time."""
-    told = []
+    result = []
     while True:
         try:
             call(*given, **named)
         except LogError as error:
             assert re.search(r"cannot be written \(.* give it again; all earlier events are kept", str(error))  # noqa: PT017
-            told.append(str(error))
+            result.append(str(error))
             on_refusal()
         else:
-            return told
+            return result
 
 
 def record_all(recorder, num_trajectories, num_stages, on_refusal=lambda: None, **seen):
-    told = []
+    result = []
     for _ in range(num_trajectories):
         trajectory = recorder.begin_trajectory()
         for stage in range(1, num_stages + 1):
-            told += until_it_is_taken(on_refusal, trajectory.begin_stage, {"x": stage, **seen}, action="PICK")
-            told += until_it_is_taken(on_refusal, trajectory.complete_stage, 1.0, elapsed_s=float(stage))
-        told += until_it_is_taken(on_refusal, trajectory.finish)
-    return told
+            result += until_it_is_taken(on_refusal, trajectory.begin_stage, {"x": stage, **seen}, action="PICK")
+            result += until_it_is_taken(on_refusal, trajectory.complete_stage, 1.0, elapsed_s=float(stage))
+        result += until_it_is_taken(on_refusal, trajectory.finish)
+    return result
 
 
 def check_all(folder, num_trajectories, num_stages):
@@ -103,11 +103,11 @@ def check_all(folder, num_trajectories, num_stages):
 def test_faults_of_writing_lose_nothing_that_was_taken(tmp_path, monkeypatch, num_trajectories, seed, fewest_refused):
     with LogRecorder(tmp_path, fsync="stage", part_bytes=1) as recorder:
         failing(monkeypatch, seed)
-        told = record_all(recorder, num_trajectories, 2)
+        result = record_all(recorder, num_trajectories, 2)
         assert read_logs(tmp_path).num_trajectories == num_trajectories
         monkeypatch.undo()
     check_all(tmp_path, num_trajectories, 2)
-    assert len(told) > fewest_refused
+    assert len(result) > fewest_refused
 
 
 def test_a_disk_that_is_full_for_a_while_loses_nothing_that_was_taken(tmp_path):
@@ -118,8 +118,8 @@ def test_a_disk_that_is_full_for_a_while_loses_nothing_that_was_taken(tmp_path):
             num_kept.append(read_logs(tmp_path).num_stages)
             make_room()
 
-        (told,) = record_all(recorder, 1, 40, on_refusal, seen="z" * 600)
-    assert re.search(r"\((File too large|.*bytes were written)\); make room and give it again", told)
+        (message,) = record_all(recorder, 1, 40, on_refusal, seen="z" * 600)
+    assert re.search(r"\((File too large|.*bytes were written)\); make room and give it again", message)
     assert 10 < num_kept[0] < 40
     check_all(tmp_path, 1, 40)
 
@@ -231,7 +231,7 @@ def quiet():
 
 
 @contextmanager
-def told():
+def warned():
     """Each reading tells of lines that do not check once, in one line."""
     with pytest.warns(HalfseenWarning, match="lines fail their checksum and are left out") as caught:
         yield
@@ -245,7 +245,7 @@ def test_one_bad_line_costs_at_most_the_trajectories_at_it(whole, tmp_path, harm
         put = {"flip": [bad.replace(b":", b";", 1)], "drop": [], "double": [bad, bad], "zeros": [bytes(len(bad))]}[harm]
         content = b"".join(whole[:line] + put + whole[line + 1 :])
         # Zeros swallow the line below them, and the one after that has nothing to go on from.
-        assert goes_on(tmp_path, whole, content, num_above=2 if harm == "zeros" else 1, warns=told) is not None
+        assert goes_on(tmp_path, whole, content, num_above=2 if harm == "zeros" else 1, warns=warned) is not None
 
 
 def test_a_trajectory_that_lines_are_missing_of_counts_as_cut_where_it_was_last_known(whole, tmp_path):
@@ -262,11 +262,11 @@ def test_a_trajectory_that_lines_are_missing_of_counts_as_cut_where_it_was_last_
 
 @pytest.mark.parametrize("tail", [b"\0" * 4096, b"\0" * 50 + b"\n", b'["deadbeef",{"eve\0\0"}]\n', b'["dead\n\n'])
 def test_a_recorder_goes_on_after_a_broken_end(whole, tmp_path, tail):
-    logs = goes_on(tmp_path, whole, b"".join(whole) + tail, warns=told if tail.endswith(b"\n") else nullcontext)
+    logs = goes_on(tmp_path, whole, b"".join(whole) + tail, warns=warned if tail.endswith(b"\n") else nullcontext)
     assert finished(logs) == set(range(1, NUM_TRAJECTORIES + 1))
 
 
-def test_a_file_of_zeros_is_begun_anew(tmp_path):
+def test_a_file_of_zeros_is_begun_again(tmp_path):
     (tmp_path / JOURNAL).write_bytes(b"\0" * 4096)
     assert logs_or_none(tmp_path) is None
     with LogRecorder(tmp_path) as recorder:

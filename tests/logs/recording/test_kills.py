@@ -71,10 +71,10 @@ def check_kills(folder, num_kills, longest_s, seed):
     for kill in range(num_kills):
         with recording_child(folder / str(kill)) as (pipe, kill_it):
             # One in four may fall before anything is recorded; how slow the machine is, the others fall after it.
-            told = pipe.read(1) if kill % 4 else b""
+            result = pipe.read(1) if kill % 4 else b""
             time.sleep(rng.uniform(0.0, longest_s))
             kill_it()
-            num_events = len(told + pipe.read())
+            num_events = len(result + pipe.read())
         there = recovered(folder / str(kill))
         # An event may have reached the disk without being reported.
         assert there in (taken_after(num_events), taken_after(num_events + 1))

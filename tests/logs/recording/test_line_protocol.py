@@ -85,7 +85,7 @@ PLACE = {"objects is 5": 4, "finish: no trajectory has begun; begin_trajectory f
 """Number of lines before a bad one, where it is not 2."""
 
 
-def test_bad_lines_are_told_in_one_and_harm_none_after_them(tmp_path):
+def test_bad_lines_are_reported_in_one_and_harm_none_after_them(tmp_path):
     lines = {
         trouble: [*TRAJECTORY[: PLACE.get(trouble, 2)], bad, b"\n", *TRAJECTORY[PLACE.get(trouble, 2) :]]
         for trouble, bad in BAD.items()
@@ -93,12 +93,12 @@ def test_bad_lines_are_told_in_one_and_harm_none_after_them(tmp_path):
     answers = iter(recorded(tmp_path, [line for each in lines.values() for line in each]))
     for trouble in BAD:
         number = PLACE.get(trouble, 2)
-        told = [next(answers) for _ in range(len(TRAJECTORY) + 1)]
-        assert [answer["ok"] for answer in told] == [True] * number + [False] + [True] * (len(TRAJECTORY) - number), (
+        result = [next(answers) for _ in range(len(TRAJECTORY) + 1)]
+        assert [answer["ok"] for answer in result] == [True] * number + [False] + [True] * (len(TRAJECTORY) - number), (
             trouble
         )
-        assert re.search(trouble, told[number]["error"])
-        assert len(told[number]["error"]) < 400
+        assert re.search(trouble, result[number]["error"])
+        assert len(result[number]["error"]) < 400
     assert read_logs(tmp_path).is_finished.tolist() == [True] * len(BAD)
 
 

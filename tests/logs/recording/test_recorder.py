@@ -165,7 +165,7 @@ def test_what_each_robot_brought_is_read_back_and_is_null_where_a_stage_was_cut(
     with LogRecorder(tmp_path) as recorder:
         trajectory = recorder.begin_trajectory()
         begin(trajectory)
-        # It is told when it is given, and the stage may still be completed.
+        # It is refused when it is given, and the stage may still be completed.
         with pytest.raises(LogError, match="own_rewards has 0 numbers, but the stages before it have 2"):
             trajectory.complete_stage(3.0, elapsed_s=1.0)
         with pytest.raises(LogError, match="1_reward is nan"):
@@ -282,7 +282,7 @@ def test_the_log_of_several_files_is_that_of_one(tmp_path, part_bytes, num_parts
     assert sum(part.read_text().count('"event":"stage"') % 2 for part in parts) == 0
 
 
-def test_a_torn_or_missing_part_is_told_and_parts_moved_away_are_not_missed(tmp_path):
+def test_a_torn_or_missing_part_is_reported_and_parts_moved_away_are_not_missed(tmp_path):
     parts = journal_parts(recorded(tmp_path, 1, 4))
     parts[1].write_bytes(b"".join(parts[1].read_bytes().splitlines(keepends=True)[:4]))
     with LogRecorder(tmp_path):

@@ -87,7 +87,7 @@ ALONE = {
     },
     r"begin_stage\(\) with its robot first": [begins(), calls("drop_out", 0, "battery")],
 }
-"""Of a trajectory whose first stage was completed at 1 s: what is told, and the calls of which it refuses the last."""
+"""Of a trajectory whose first stage was completed at 1 s: the message, and the calls, of which the last is refused."""
 
 OBJECTS = {
     "object 'cup': it is listed twice": [cups(CUP, CUP)],
@@ -141,10 +141,10 @@ def test_what_no_log_takes_is_refused_in_one_line_and_harms_nothing(recorder, tm
     for name, (trouble, of_trajectory) in enumerate(troubles.items(), start=1):
         trajectory = recorder.begin_trajectory()
         step(trajectory, 1.0, **given)
-        with refused(rf"^trajectory {name}\b.*{trouble}", LogError) as told:
+        with refused(rf"^trajectory {name}\b.*{trouble}", LogError) as caught:
             for call in of_trajectory:
                 call(trajectory)
-        assert len(str(told.value)) < 250
+        assert len(str(caught.value)) < 250
         if not trajectory.is_in_stage:  # so that a cut takes nothing back
             begin(trajectory, **given | ({"robot": 1, "object": None} if "robot" in given else {}))
         trajectory.cut("operator", elapsed_s=3.0)
@@ -163,7 +163,7 @@ def test_trajectories_that_no_log_takes_are_refused(recorder, tmp_path):
         with refused(f"'{name}' is a reserved column of the log", LogError):
             recorder.begin_trajectory(**{name: 1.0})
     trajectory = recorder.begin_trajectory("a")
-    for told, call in {
+    for message, call in {
         "it has no stage": trajectory.finish,
         "no robot has decided yet": lambda: trajectory.drop_out(0, "battery"),
         "trajectory 'a': it is in progress": recorder.begin_trajectory,
@@ -178,7 +178,7 @@ def test_trajectories_that_no_log_takes_are_refused(recorder, tmp_path):
         ),
         "trajectory 7 is a number, but earlier ones are text": lambda: recorder.begin_trajectory(7),
     }.items():
-        with refused(told, LogError):
+        with refused(message, LogError):
             call()
     trajectory = recorder.begin_trajectory()
     assert trajectory.name == "2"
@@ -232,7 +232,7 @@ def test_whole_numbers_beyond_fractions_do_not_share_a_column_with_fractions(tmp
         put(recorder.begin_trajectory(), second, first, 1.0)
 
 
-def test_what_else_is_wrong_is_told_by_whoever_asked_to_be_asked(tmp_path):
+def test_what_else_is_wrong_is_reported_by_whoever_asked_to_be_asked(tmp_path):
     seen = []
 
     def check(logs):
@@ -253,26 +253,26 @@ def test_what_else_is_wrong_is_told_by_whoever_asked_to_be_asked(tmp_path):
 
 
 def test_what_is_asked_for_must_be_there_and_what_is_there_is_left_alone(tmp_path):
-    for options, told in (
+    for options, message in (
         *(({"part_bytes": size}, f"part_bytes is {size}; give a whole number of bytes") for size in (0, -1)),
         ({"fsync": "often"}, "fsync is 'often'; give one of 'never', 'trajectory', 'stage', 'event'"),
         *(({"reward_unit": unit}, "reward_unit is") for unit in ("", "two\nlines", "x" * 25)),
     ):
-        with refused(told):
+        with refused(message):
             LogRecorder(tmp_path / "new", **options)
     Logs(**small_tables()).write(tmp_path / "logs")
     (tmp_path / "file").touch()
-    for name, told in (("logs", "record into another folder"), ("file", "cannot be written")):
-        with refused(told, ArgumentError):
+    for name, message in (("logs", "record into another folder"), ("file", "cannot be written")):
+        with refused(message, ArgumentError):
             LogRecorder(tmp_path / name)
     other_version = journal_line(HEADER | {"version": 9}, 0)[0]
-    for content, told in (
+    for content, message in (
         (b"milk\neggs\n", "all its lines fail their checksum"),
         (other_version, r"line 1:.*read it with the halfseen that wrote it"),
     ):
         (tmp_path / JOURNAL).write_bytes(content)
         for take in (read_logs, LogRecorder):
-            with refused(told, LogError):
+            with refused(message, LogError):
                 take(tmp_path)
         assert (tmp_path / JOURNAL).read_bytes() == content
     assert not (tmp_path / "new").exists()

@@ -151,8 +151,8 @@ def test_a_stage_of_robots_is_refused_where_the_log_with_it_would_not_be_read(tm
         for robot, target, length in decisions:
             try:
                 logs_of([*taken, (robot, target, length)], "cut")
-            except LogError as told:
-                with refused(re.escape(str(told)), LogError):
+            except LogError as message:
+                with refused(re.escape(str(message)), LogError):
                     of_robot(trajectory, robot, target)
                 continue
             taken.append((robot, target, length))

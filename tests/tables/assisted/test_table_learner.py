@@ -49,7 +49,7 @@ def test_prices_and_times_are_read_off_the_log(config):
         ([5.1, 4.9, -9.0, -10.0, -11.0], {"reward_wash_dirty": 5.0, "reward_wash_clean": -10.0}),
     ],
 )
-def test_the_dirty_are_told_from_the_clean_by_what_they_pay(paid, expected):
+def test_the_dirty_are_reported_from_the_clean_by_what_they_pay(paid, expected):
     assert dirty_and_clean(np.array(paid)) == pytest.approx(expected)
 
 
@@ -71,8 +71,8 @@ def test_the_price_of_what_is_left_is_that_of_one(paid, left, expected):
 
 def test_a_log_that_does_not_tell_what_became_of_attempts_is_learned_without_laws():
     logs = logs_of(30)
-    untold = Logs(logs.stages, logs.trajectories, logs.objects.drop(columns=["successes"]))
-    learner = CensoredQLearner.for_table(HORIZON).fit(untold)
+    unknown = Logs(logs.stages, logs.trajectories, logs.objects.drop(columns=["successes"]))
+    learner = CensoredQLearner.for_table(HORIZON).fit(unknown)
     assert learner.assisted_ is None
     assert isinstance(learner.policy_, LinearTablePolicy)
     assert "Q is linear eq. 3 without laws: objects: there is no column 'successes'" in learner.chosen_[-1]
@@ -132,7 +132,7 @@ def test_where_the_log_contradicts_the_laws_it_builds_on_a_rule_or_on_linear_eq_
     assert any("the log contradicts the laws" in sentence for sentence in learner.chosen_)
 
 
-def test_log_odds_are_made_anew_as_the_labels_say_them():
+def test_log_odds_are_made_again_as_the_labels_say_them():
     """A recorder that doubles every step: half of what it says is right, and it is made right where it is."""
     logs, prior = logs_of(200), np.log(0.6 / 0.4)
     evidence, states = evidence_of(logs, FITTED), states_alone(logs, HORIZON)

@@ -227,16 +227,16 @@ def fitted(*laws, num_trajectories=300):
 
 
 @pytest.mark.slow
-def test_robots_that_differ_are_told_apart_and_those_that_do_not_are_not():
-    told = fitted(SURE, CLUMSY)
-    assert isinstance(told.grasp, GraspByRobot)
-    assert "own attempts" in told.chosen[-1]
+def test_robots_that_differ_are_distinguished_and_those_that_do_not_are_not():
+    result = fitted(SURE, CLUMSY)
+    assert isinstance(result.grasp, GraspByRobot)
+    assert "own attempts" in result.chosen[-1]
     state, _ = begun(world_of(SURE, CLUMSY))
     # Of the object in full view before any attempt: the law, its hidden grip integrated out.
     offsets = LOGISTIC.offset_std * np.random.default_rng(0).standard_normal(100_000)
     for robot, law in enumerate((SURE, CLUMSY)):
         known = np.mean(1.0 / (1.0 + np.exp(-law.log_odds - offsets)))
-        assert float(told.grasp.of(robot).probability(state)[-1]) == pytest.approx(known, abs=0.1)
+        assert float(result.grasp.of(robot).probability(state)[-1]) == pytest.approx(known, abs=0.1)
     assert not isinstance(fitted(SURE, SURE).grasp, GraspByRobot)
     # Too few attempts tell nothing.
     assert not isinstance(fitted(SURE, CLUMSY, num_trajectories=5).grasp, GraspByRobot)
@@ -280,10 +280,10 @@ def test_it_comes_back_from_a_folder_and_what_does_not_fit_is_refused():
     assert_same(again, model)
     without = {name: each for name, each in arrays.items() if name != "own.grasp.per_grip"}
     twos = {**arrays, "own.grasp.chances": arrays["own.grasp.chances"] * 0.0 + 2.0}
-    for given, num_robots, told in (
+    for given, num_robots, message in (
         (arrays, 3, "the schema needs float32 of shape"),
         (without, 2, "'own.grasp.per_grip' is missing"),
         (twos, 2, "'own.grasp.chances' holds 2.0"),
     ):
-        with pytest.raises(PolicyError, match=told):
+        with pytest.raises(PolicyError, match=message):
             check_shapes(given, grasp_shapes(given, num_robots), np.float32)

@@ -47,9 +47,9 @@ def looks(num_objects, law, seed=0, num_looks=4, recorder=None):
         labels = Labels(target // 3, target, occlusion, is_held, seen, after, says_dirty, *truth, moved)
         each.append([values[chance > 0.0] for values in labels])
         seen = after
-    told = Labels(*map(np.concatenate, zip(*each, strict=True)))
-    by_object = np.argsort(told.object, kind="stable")
-    return Labels(*(values[by_object] for values in told))
+    result = Labels(*map(np.concatenate, zip(*each, strict=True)))
+    by_object = np.argsort(result.object, kind="stable")
+    return Labels(*(values[by_object] for values in result))
 
 
 def persistent_law(theta):
@@ -65,12 +65,12 @@ def fitted_law(family):
     return family.law(family.fitted(family.prior))
 
 
-def fit_independent(told, share):
-    return fitted_law(Independent(told, share))
+def fit_independent(expected, share):
+    return fitted_law(Independent(expected, share))
 
 
-def fit_persistent(told, share):
-    return fitted_law(Persistent(told, share))
+def fit_persistent(expected, share):
+    return fitted_law(Persistent(expected, share))
 
 
 class Family(NamedTuple):
@@ -106,14 +106,14 @@ BOTH = pytest.mark.parametrize("family", [INDEPENDENT, PERSISTENT], ids=["indepe
 @pytest.mark.parametrize("k", range(3))
 @BOTH
 def test_posterior_is_what_a_loop_over_looks_gives(family, k):
-    theta, told, prior = family.thetas[k], family.labels, family.prior
+    theta, labels, prior = family.thetas[k], family.labels, family.prior
     total, law = norm.logpdf(theta, *prior).sum() - norm.logpdf(prior.mode, *prior).sum(), family.law(theta)
-    for target in np.unique(told.object):
+    for target in np.unique(labels.object):
         likelihood = np.array([SHARE, 1.0 - SHARE])
-        for row in np.flatnonzero(told.object == target):
-            finds = np.array(family.finds(law, told.occlusion[row], told.seen[row], told.is_held[row]))
-            likelihood *= finds if told.says_dirty[row] else 1.0 - finds
-        total += np.log((likelihood * [not told.was_clean[row], not told.was_dirty[row]]).sum())
+        for row in np.flatnonzero(labels.object == target):
+            finds = np.array(family.finds(law, labels.occlusion[row], labels.seen[row], labels.is_held[row]))
+            likelihood *= finds if labels.says_dirty[row] else 1.0 - finds
+        total += np.log((likelihood * [not labels.was_clean[row], not labels.was_dirty[row]]).sum())
     assert family.loss(theta)[0] == pytest.approx(-total, abs=1e-9 if family is INDEPENDENT else 1e-4)
 
 
@@ -162,8 +162,8 @@ def test_the_persistent_law_that_was_drawn_from_is_found():
 @pytest.mark.parametrize(("cut_share", "cut_kind"), CUTS)
 def test_the_laws_that_made_the_labels_are_found_although_labels_choose_what_is_washed(cut_share, cut_kind):
     def found(fit, reads, config):
-        told = [evidence(2000, cut_share, cut_kind, config=config, seed=seed).labels for seed in range(4)]
-        return np.mean([reads(fit(each, SHARE)) for each in told], axis=0)
+        labels = [evidence(2000, cut_share, cut_kind, config=config, seed=seed).labels for seed in range(4)]
+        return np.mean([reads(fit(each, SHARE)) for each in labels], axis=0)
 
     shares = np.array([0.0, 0.2, 0.5, 0.8])
     accuracy = found(fit_independent, lambda law: law.accuracy(shares), WorldConfig())
@@ -175,12 +175,12 @@ def test_the_laws_that_made_the_labels_are_found_although_labels_choose_what_is_
 
 @pytest.mark.slow
 def test_what_is_washed_is_chosen_by_its_labels_which_the_fit_takes_in():
-    told, right = evidence(2000).labels, WorldConfig().seeing.accuracy(0.0)
-    in_view = told.occlusion == 0.0
+    labels, right = evidence(2000).labels, WorldConfig().seeing.accuracy(0.0)
+    in_view = labels.occlusion == 0.0
     # Of washed objects labels say DIRTY more often than of others, be they dirty or clean.
-    assert np.mean(told.says_dirty[in_view & told.was_dirty]) > right + 0.02
-    assert np.mean(~told.says_dirty[in_view & told.was_clean]) < right - 0.02
-    assert abs(fit_independent(told, SHARE).accuracy(0.0) - right) < 0.012
+    assert np.mean(labels.says_dirty[in_view & labels.was_dirty]) > right + 0.02
+    assert np.mean(~labels.says_dirty[in_view & labels.was_clean]) < right - 0.02
+    assert abs(fit_independent(labels, SHARE).accuracy(0.0) - right) < 0.012
 
 
 def wrong(law):
@@ -215,28 +215,28 @@ def test_labels_reject_a_recorder_that_is_too_sure_and_the_law_is_fitted_to_them
 
 @pytest.mark.slow
 def test_log_odds_that_no_law_of_the_family_made_tell_of_no_recorder():
-    told = looks(80, SEEING)
-    found = seeing_of(told._replace(moved=told.moved * np.where(np.arange(len(told.moved)) % 2, 1.0, 2.0)), SHARE)
+    result = looks(80, SEEING)
+    found = seeing_of(result._replace(moved=result.moved * np.where(np.arange(len(result.moved)) % 2, 1.0, 2.0)), SHARE)
     assert found.recorder is None
-    np.testing.assert_allclose(curves_of(found.law), curves_of(fit_persistent(told, SHARE)))
+    np.testing.assert_allclose(curves_of(found.law), curves_of(fit_persistent(result, SHARE)))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("share", "is_read"), [(0.03, True), (0.2, False)])
 def test_some_views_that_are_remembered_otherwise_hide_no_recorder(share, is_read):
-    told = looks(150, SEEING)
-    is_other = np.random.default_rng(1).random(len(told.moved)) < share
-    occlusion = np.where(is_other & ~told.is_held, 0.5 * told.occlusion, told.occlusion)
-    recorder = seeing_of(told._replace(occlusion=occlusion), SHARE).recorder
+    result = looks(150, SEEING)
+    is_other = np.random.default_rng(1).random(len(result.moved)) < share
+    occlusion = np.where(is_other & ~result.is_held, 0.5 * result.occlusion, result.occlusion)
+    recorder = seeing_of(result._replace(occlusion=occlusion), SHARE).recorder
     assert (recorder is not None) is is_read
     if recorder is not None:
         np.testing.assert_allclose(curves_of(recorder), curves_of(SEEING), atol=2e-3)
 
 
 def test_an_independent_recorder_is_read_back_too():
-    law, told = AssumedSeeing(0.52, 0.31, 1.3), some_labels(num=400, num_objects=200)
-    evidence_of_labels = label_evidence(*law.positive(told.occlusion, told.seen), told.says_dirty)
-    found = seeing_of(told._replace(moved=evidence_of_labels), SHARE)
+    law, labels = AssumedSeeing(0.52, 0.31, 1.3), some_labels(num=400, num_objects=200)
+    evidence_of_labels = label_evidence(*law.positive(labels.occlusion, labels.seen), labels.says_dirty)
+    found = seeing_of(labels._replace(moved=evidence_of_labels), SHARE)
     shares = np.linspace(0.0, 1.0, 9)
     np.testing.assert_allclose(found.recorder.accuracy(shares), law.accuracy(shares), atol=1e-3)
 

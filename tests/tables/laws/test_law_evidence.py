@@ -1,4 +1,4 @@
-"""What attempts, looks and washing told, against the episodes of a log; and a whole world that is fitted to it."""
+"""What attempts, looks and washing say, against the episodes of a log; and a whole world that is fitted to it."""
 
 from dataclasses import replace
 from functools import cache
@@ -95,33 +95,33 @@ def test_the_first_trajectories_tell_what_a_log_of_them_tells():
 @pytest.mark.parametrize("cut_share", [0.0, 0.6])
 def test_labels_move_the_log_odds_as_the_law_says_at_the_occlusion_of_the_look(cut_share):
     cuts, logs = recorded(60, cut_share)
-    told, config = evidence_of(logs, WorldConfig()).labels, WorldConfig()
+    labels, config = evidence_of(logs, WorldConfig()).labels, WorldConfig()
     states = cuts.episodes.states
     is_on_table, log_odds = np.asarray(states.is_on_table), np.asarray(states.log_odds, dtype=float)
     moved = np.diff(log_odds, axis=1, prepend=np.log(1.5))
     trajectory, stage, target = np.nonzero(is_on_table & cuts.is_begun[:, :, None] & (np.abs(moved) > 1e-4))
-    np.testing.assert_array_equal(told.trajectory, trajectory)
-    np.testing.assert_array_equal(told.object, 5 * trajectory + target)
-    accuracy = config.seeing.accuracy(told.occlusion)
-    expected = np.where(told.says_dirty, 1.0, -1.0) * (np.log(accuracy) - np.log1p(-accuracy))
+    np.testing.assert_array_equal(labels.trajectory, trajectory)
+    np.testing.assert_array_equal(labels.object, 5 * trajectory + target)
+    accuracy = config.seeing.accuracy(labels.occlusion)
+    expected = np.where(labels.says_dirty, 1.0, -1.0) * (np.log(accuracy) - np.log1p(-accuracy))
     np.testing.assert_allclose(moved[trajectory, stage, target], expected, atol=1e-4)
-    assert (told.occlusion == 0.0).any()
+    assert (labels.occlusion == 0.0).any()
     # To this recorder each look is news, so that no views are counted; and no grip shows.
-    assert not told.is_persistent
-    assert not told.seen.any()
+    assert not labels.is_persistent
+    assert not labels.seen.any()
     assert not evidence_of(logs, WorldConfig()).tried.grip.any()
 
 
 def test_washing_shows_what_an_object_was():
     cuts, logs = recorded(200, 0.3)
-    told = evidence_of(logs, WorldConfig()).labels
-    is_dirty = np.asarray(cuts.episodes.hidden.is_dirty)[told.trajectory, told.object % 5]
-    assert told.was_dirty.any()
-    assert told.was_clean.any()
-    assert not (told.was_dirty & told.was_clean).any()
-    assert is_dirty[told.was_dirty].all()
-    assert not is_dirty[told.was_clean].any()
-    washed = np.unique(told.object[told.was_dirty | told.was_clean])
+    labels = evidence_of(logs, WorldConfig()).labels
+    is_dirty = np.asarray(cuts.episodes.hidden.is_dirty)[labels.trajectory, labels.object % 5]
+    assert labels.was_dirty.any()
+    assert labels.was_clean.any()
+    assert not (labels.was_dirty & labels.was_clean).any()
+    assert is_dirty[labels.was_dirty].all()
+    assert not is_dirty[labels.was_clean].any()
+    washed = np.unique(labels.object[labels.was_dirty | labels.was_clean])
     assert len(washed) == num_washed(cuts)
 
 
@@ -136,21 +136,23 @@ def num_washed(cuts):
 @pytest.mark.parametrize("cut_share", [0.0, 0.6])
 def test_labels_of_a_recorder_who_counts_views_say_what_the_law_says_of_them(cut_share):
     cuts, logs = recorded(60, cut_share, config=FITTED)
-    told, law = evidence_of(logs, FITTED).labels, FITTED.seeing
-    assert told.is_persistent
+    labels, law = evidence_of(logs, FITTED).labels, FITTED.seeing
+    assert labels.is_persistent
     # A look that shows nothing new is no label.
     num_looks = int((np.asarray(cuts.episodes.states.is_on_table) & cuts.is_begun[:, :, None]).sum())
-    assert 0 < len(told.trajectory) < 0.7 * num_looks
+    assert 0 < len(labels.trajectory) < 0.7 * num_looks
     np.testing.assert_allclose(
-        told.seen_after, law.after(told.occlusion, told.seen, told.says_dirty, told.is_held), atol=1e-6
+        labels.seen_after, law.after(labels.occlusion, labels.seen, labels.says_dirty, labels.is_held), atol=1e-6
     )
-    assert told.is_held.any()
-    assert not told.occlusion[told.is_held].any()
+    assert labels.is_held.any()
+    assert not labels.occlusion[labels.is_held].any()
     # What washing showed to be clean had its false alarms, and no more.
-    if_dirty, if_clean = law.positive(told.occlusion, told.seen, told.is_held)
+    if_dirty, if_clean = law.positive(labels.occlusion, labels.seen, labels.is_held)
     assert (if_dirty > 0.0).all()
-    expected = np.where(np.asarray(cuts.episodes.hidden.is_dirty)[told.trajectory, told.object % 5], if_dirty, if_clean)
-    excess = told.says_dirty - expected
+    expected = np.where(
+        np.asarray(cuts.episodes.hidden.is_dirty)[labels.trajectory, labels.object % 5], if_dirty, if_clean
+    )
+    excess = labels.says_dirty - expected
     assert abs(excess.sum()) < 3.0 * np.sqrt((expected * (1.0 - expected)).sum())
 
 
@@ -158,10 +160,10 @@ def test_a_look_that_finds_nothing_counts_though_the_recorder_learns_nothing_fro
     seeing = replace(FITTED.seeing, sensitivity=(0.0, 0.55, 0.6, 0.95), false_alarms=(0.0, 0.06, 0.1, 0.2))
     flat = replace(FITTED, seeing=seeing)
     _, logs = recorded(60, config=flat)
-    told = evidence_of(logs, flat).labels
-    is_flat = told.seen_after <= seeing.views[0]
+    labels = evidence_of(logs, flat).labels
+    is_flat = labels.seen_after <= seeing.views[0]
     assert is_flat.any()
-    assert not told.says_dirty[is_flat].any()
+    assert not labels.says_dirty[is_flat].any()
 
 
 @pytest.mark.parametrize("cut_share", [0.0, 0.5])
@@ -176,9 +178,9 @@ def test_a_look_that_finds_nothing_counts_though_the_recorder_learns_nothing_fro
 def test_a_log_speaks_for_the_laws_that_made_it(config, families, cut_share):
     _, logs = recorded(100, cut_share, config=config)
     for begin in (0, 50):
-        told = evidence_of(logs.select(logs.trajectory_ids[begin : begin + 50]), config)
-        assert isinstance(choose_grasping(told.tried, config.grasping.limit_s), families[0])
-        assert isinstance(seeing_of(told.labels, told.dirty_share).law, families[1])
+        labels = evidence_of(logs.select(logs.trajectory_ids[begin : begin + 50]), config)
+        assert isinstance(choose_grasping(labels.tried, config.grasping.limit_s), families[0])
+        assert isinstance(seeing_of(labels.labels, labels.dirty_share).law, families[1])
 
 
 HIDES = np.array([[0.0, 0.0, 0.0], [0.6, 0.0, 0.0], [0.0, 0.4, 0.0]])
@@ -235,9 +237,9 @@ def test_the_true_laws_are_not_looked_at(config):
 
 def test_a_log_tells_its_share_of_dirty_objects_though_nobody_wrote_it_down():
     logs = logs_of(WorldConfig(dirty_share=0.3), episodes=300)
-    untold = Logs(logs.stages, logs.trajectories.drop(columns="dirty_share"), logs.objects)
+    unknown = Logs(logs.stages, logs.trajectories.drop(columns="dirty_share"), logs.objects)
     assert fit_world(logs, WorldConfig()).dirty_share == pytest.approx(0.3, abs=1e-6)
-    assert fit_world(untold, WorldConfig()).dirty_share == pytest.approx(0.3, abs=0.03)
+    assert fit_world(unknown, WorldConfig()).dirty_share == pytest.approx(0.3, abs=0.03)
 
 
 @pytest.mark.slow

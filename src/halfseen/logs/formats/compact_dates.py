@@ -18,7 +18,7 @@ def compact_format(text: str) -> str | None:
 
 def are_times_of_day(texts: Sequence[str]) -> bool:
     """Whether numbers, such as 95957, are hours, minutes and seconds: none has more than 59 of the latter two."""
-    are_told = (
+    have_spread = (
         len({text[-2:] for text in texts}) >= FEWEST_SECONDS and len({text[:-2] for text in texts}) >= FEWEST_MINUTES
     )
-    return are_told and all(map(_OF_DAY.fullmatch, texts))
+    return have_spread and all(map(_OF_DAY.fullmatch, texts))

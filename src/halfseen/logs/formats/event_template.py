@@ -178,8 +178,8 @@ def _count_lines(table: Guesses, texts: Sequence[str], begin: str | None, has_to
         yield begin
         return
     since, other = ("stage", "trajectory") if _restarts(table, texts) else ("trajectory", "stage")
-    told = f'since = "{since}"  # guess: numbers count from there, or from the "{other}"'
-    yield ("# " if has_topic else "") + told
+    hint = f'since = "{since}"  # guess: numbers count from there, or from the "{other}"'
+    yield ("# " if has_topic else "") + hint
 
 
 def _runs_on(table: Guesses, texts: Sequence[str]) -> bool:
@@ -225,13 +225,13 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
     rows = _rows(cells, found, topic)
     column = _filled(cells, found, key, rows) if topic else found.get(key)
     if column is None and not topic:
-        told = f"there are {_names(cells)}" + (
+        hint = f"there are {_names(cells)}" + (
             "; without it, each file is one trajectory" if key == "trajectory" else ""
         )
         yield from (
             f"# [{key}]",
             *[_NO_TOPIC] * ("topic" in found),
-            f'# field = "COLUMN"  # no column looks like it; {told}',
+            f'# field = "COLUMN"  # no column looks like it; {hint}',
         )
         if key == "ending" and "topic" not in found:
             yield '# finished = "rewarded"  # if every trajectory finished whose last stage has a reward'
@@ -259,8 +259,8 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
 def _blank_ends(cells: Cells, found: dict[str, str], texts: list[str]) -> list[str]:
     """An empty text, unless each trajectory has another in its last row."""
     names, ends = (cells.columns.get(found.get(key, ""), []) for key in ("trajectory", "ending"))
-    is_told = bool(names and ends) and all(dict(zip(names, ends, strict=True)).values())
-    return [] if is_told else [text for text in texts if not text]
+    is_known = bool(names and ends) and all(dict(zip(names, ends, strict=True)).values())
+    return [] if is_known else [text for text in texts if not text]
 
 
 def _flag_lines(cells: Cells, found: dict[str, str]) -> Iterator[str]:

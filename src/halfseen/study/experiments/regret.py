@@ -39,7 +39,7 @@ class Regret(Experiment):
     """Regret on `num_tables` small tables, with trajectories of `horizon` steps.
 
     Policies are learned from logs of each size and proportion of cuts; with `laws`, laws fitted to the same log assist.
-    The text reports `told_cut_share`. Planners look `planner_horizons` steps ahead and decide in `planner_states`
+    The text reports `reported_cut_share`. Planners look `planner_horizons` steps ahead and decide in `planner_states`
     states of each step in a repetition.
     """
 
@@ -47,7 +47,7 @@ class Regret(Experiment):
     horizon: int = 6
     num_trajectories: tuple[int, ...] = (50, 200, 800)
     cut_shares: tuple[float, ...] = (0.0, 1 / 6, 1 / 3, 1 / 2)
-    told_cut_share: float = 1 / 2
+    reported_cut_share: float = 1 / 2
     planner_horizons: tuple[int, ...] = (1, 2, 3, 6)
     planner_simulations: int = 128
     planner_states: int = 4
@@ -128,7 +128,7 @@ class Regret(Experiment):
             min(records(where(table, policy=kinds[kind])), key=lambda row: row["regret"])
             for kind in (StudyKind.HEURISTIC, StudyKind.PLANNER)
         )
-        end = row_of(table, num_trajectories=max(self.num_trajectories), cut_share=self.told_cut_share)
+        end = row_of(table, num_trajectories=max(self.num_trajectories), cut_share=self.reported_cut_share)
         ends = ("gain", "gain_low", "gain_high"), ("regret", "high", "low")
         gained = {name: rule["regret"] - end[column] for name, column in zip(*ends, strict=True)}
         return {"end": end, "rule": rule, "planner": planner, "gained": gained}
