@@ -14,6 +14,8 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "few"))
 # Set before BLAS is loaded, which reads it once; processes that tests start read it too. One test process a core leaves
 # a second thread nothing but to wait.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# By default Ray gives way to all other processes: on a busy machine a test would wait minutes for its workers.
+os.environ.setdefault("RAY_worker_niceness", "0")
 
 LONG = ("benchmarks", "cell", "docs", "examples", "learning", "planners", "study", "tables")
 """Folders whose files take long: they start first, so that no process is left with one of them at the end."""
