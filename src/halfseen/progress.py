@@ -33,7 +33,7 @@ class Verbosity(Enum):
     NOTHING = "nothing"
 
 
-_verbosity: ContextVar[Verbosity] = ContextVar("telling", default=Verbosity.BARS)
+_verbosity: ContextVar[Verbosity] = ContextVar("verbosity", default=Verbosity.BARS)
 
 
 @contextmanager
