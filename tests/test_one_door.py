@@ -17,7 +17,6 @@ from halfseen.reading import (
     read_bytes,
     read_text,
     toml_of,
-    whole_text,
 )
 
 
@@ -106,9 +105,10 @@ def test_json_that_would_do_harm_is_refused(text, message):
 
 
 def test_half_a_character_is_no_text():
-    assert whole_text(json_of('{"a": ["\\ud83d\\ude00"]}')) == {"a": ["\U0001f600"]}
-    with pytest.raises(ValueError, match=r"'\\ud83d' is half of a character"):
-        whole_text(json_of('{"a": ["\\ud83d"]}'))
+    assert json_of('{"a": ["\\ud83d\\ude00"]}') == {"a": ["\U0001f600"]}
+    for half in ('{"a": ["\\ud83d"]}', '{"\\uD83D": 1}', b'["\\ud83d"]', b'["\xed\xa0\xbd"]'):
+        with pytest.raises(ValueError, match=r"'\\ud83d' is half of a character"):
+            json_of(half)
 
 
 def test_other_json_is_read_as_ever():

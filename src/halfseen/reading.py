@@ -35,6 +35,7 @@ ALWAYS_UNPACKED, LARGEST_RATIO = 256 * 10**6, 200
 MOST_LEVELS = 64
 """Deepest nesting of lists and objects."""
 
+_HALF, _HALF_IN_BYTES = re.compile(r"\\u[dD][89a-fA-F]"), re.compile(rb"\\u[dD][89a-fA-F]|\xed[\xa0-\xbf]")
 _OF_PROGRAMMERS = re.compile(
     r"object has no|object of type|not (iterable|subscriptable|callable|supported between)|unhashable|NoneType|"
     r"index out of (range|bounds)|unsupported operand|broadcast|\d validation errors? for|to unpack|"
@@ -113,9 +114,9 @@ def read_text(path: Path, most_bytes: int = WORDS) -> str:
 
 
 def json_of(text: str | bytes, *, any_number: bool = False) -> Any:
-    """Read JSON with finite numbers of at most 64 bits and each name once, nested no deeper than `MOST_LEVELS`.
+    r"""Read JSON with finite numbers of at most 64 bits and each name once, nested no deeper than `MOST_LEVELS`.
 
-    With `any_number`, NaN and larger numbers are read, too, as floats.
+    With `any_number`, NaN and larger numbers are read, too, as floats. No text has half of a character, as ``\ud800``.
 
     Raises
     ------
@@ -126,22 +127,16 @@ def json_of(text: str | bytes, *, any_number: bool = False) -> Any:
     numbers: Any = {"parse_int": _of_digits} if any_number else strict
     read = _parsed(lambda: json.loads(text, object_pairs_hook=named_once, **numbers))
     check_levels(read)
+    if _HALF.search(text) if isinstance(text, str) else _HALF_IN_BYTES.search(text):
+        _check_characters(read)
     return read
 
 
-def whole_text(read: Any) -> Any:
-    r"""Return what JSON says, if its text can be stored; ``\ud800`` is half of a character.
-
-    Raises
-    ------
-    ValueError
-        A text cannot be stored.
-    """
+def _check_characters(read: Any) -> None:
     try:
         json.dumps(read, ensure_ascii=False).encode()
     except UnicodeEncodeError as error:
         raise ValueError(f"{error.object[error.start]!a} is half of a character, without its other half") from None
-    return read
 
 
 def named_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -337,12 +337,13 @@ def test_a_field_that_a_model_does_not_take_is_named_with_its_value_and_the_reme
             ("/end", {"ending": "cut"}, 'the request: give {"ending": "finished"}, or {"ending": "cut", "cause": '),
             ("/end", {"ending": "x` - at `$.y`"}, "the request: ending is 'x` - at `$.y`'; give the word"),
             ("/end", {"x` - at `$.y": 1}, "the request: unknown field 'x` - at `$.y'; give ending, cause, elap"),
-            ("/end", {"ending": "\ud800"}, "the request: '\\ud800' is not Unicode text; decode it"),
-            ("/end", {"ending": "cut", "\ud800": 1}, "the request: '\\ud800' is not Unicode text; decode it"),
         ):
             body = json.dumps(given)
             answer = client.post(address, content=body, headers={"content-type": "application/json"})
             assert refused(answer, 422).startswith(says)
+        for given in ({"ending": "\ud800"}, {"ending": "cut", "\ud800": 1}):
+            answer = client.post("/end", content=json.dumps(given), headers={"content-type": "application/json"})
+            assert "'\\ud800' is half of a character" in refused(answer, 400)
         files = {"cloud": ("t.pcd", b"")}
         for stage in ("x", "1.5", "0", "-1", ""):
             line = refused(client.post("/decide", files=files, data={"stage": stage}), 422)

@@ -122,3 +122,11 @@ def test_a_table_without_rows_and_a_covariate_called_paths_keep_their_columns(tm
     pq.write_table(table.slice(0, 0), file)
     with refused(f"^{tmp_path / 'logs'}.*it has 0 rows where", LogError):
         read_older(tmp_path / "logs")
+
+
+def test_a_journal_that_is_too_large_to_be_read_is_refused_in_one_line(tmp_path):
+    """It is not yet known to be of version 1."""
+    with (tmp_path / "journal.jsonl").open("wb") as file:
+        file.truncate(65_000_000_000)
+    with refused("journal.jsonl: it cannot be read .it has 65,000 MB", LogError):
+        is_older(tmp_path)

@@ -123,5 +123,5 @@ def _is_older_journal(folder: Path) -> bool:
     if first is None:
         return False
     header, _ = journal_line(OLDER, 0)
-    with opened(first, TABLE) as file:
+    with refused(first, "it cannot be read", "copy it again"), opened(first, TABLE) as file:
         return file.readline(len(header)) == header

@@ -30,7 +30,7 @@ from halfseen.logs.formats.step_tables import whole_table
 from halfseen.logs.formats.table_mapping import TextLayout
 from halfseen.logs.formats.workbooks import rows_of_sheet
 from halfseen.logs.parquet import parquet_file
-from halfseen.reading import TABLE, check_file, check_unpacked, json_of, opened, reason_of, refused, whole_text
+from halfseen.reading import TABLE, check_file, check_unpacked, json_of, opened, reason_of, refused
 
 TYPED_FILES, OTHER_SHEETS = (".parquet",), (".xls", ".xlsb", ".ods")
 PACKED = ".gz"
@@ -149,7 +149,7 @@ def _of_json(file: Path, text: str) -> Cells:
         if not line.strip():
             continue
         with refused(f"{file}, line {number}", "it is not JSON", "write one JSON object a line"):
-            row = whole_text(json_of(line))
+            row = json_of(line)
         if not isinstance(row, dict):
             raise LogError(f"{file}, line {number}: it is not a JSON object; write one a line")
         rows[number] = row
