@@ -132,13 +132,30 @@ class Promise(Struct):
             raise ValueError(f"brings is {list(self.brings)}; the least must come first")
 
 
+class Source(Struct):
+    """A log that a policy was learned from, with its first and last trajectory."""
+
+    name: str | None
+    num_trajectories: Horizon
+    first: int | float | str
+    last: int | float | str
+
+
+class LearnedFrom(Struct):
+    """What a policy was learned from; older folders lack the fields that have a default here."""
+
+    sentence: str
+    sha256: str | None = None
+    sources: list[Source] = []
+
+
 class Record(Struct):
     """Content of every policy.json; older folders lack the fields that have a default here."""
 
     kind: Kind
     schema: dict[str, Any]
     learner: dict[str, Any]
-    log: dict[str, Any]
+    log: LearnedFrom
     diagnostics: dict[str, Any]
     reg: dict[str, Any]
     versions: dict[str, Any]
