@@ -10,7 +10,7 @@ from safetensors.numpy import load_file
 from scipy.special import expit
 
 from attempt_logs import attempt_log
-from halfseen.cell.calibration.attempts import HORIZON, occlusion_bins, shares_by, trials
+from halfseen.cell.calibration.attempts import HORIZON, glances, occlusion_bins, shares_by, trials
 from halfseen.cell.calibration.figures import held_shares
 from halfseen.cell.calibration.law import ATTEMPTS, LAW, fit_law, read_law, shipped_law, write_law
 from halfseen.cell.facts import Facts, look_again, tables_seen
@@ -141,6 +141,18 @@ def test_what_is_no_length_on_a_table_is_refused(logs, length_m):
     log = Logs(logs.stages, logs.trajectories, logs.objects.assign(room_m=length_m))
     with pytest.raises(LogError, match=r"trajectory .*, stage 1: room_m is (1e\+300|-1e\+06), not a length on a table"):
         trials(log, 10)
+
+
+def test_attempts_without_a_time_and_looks_without_a_label_are_refused(logs):
+    """As in a file whose rows another program has moved."""
+    of_nobody = logs.objects.assign(attempt_s=[[]] * len(logs.objects))
+    with pytest.raises(
+        LogError, match=r"trajectory .*, stage \d+: attempt_s of the next stage lacks the attempt's time"
+    ):
+        trials(Logs(logs.stages, logs.trajectories, of_nobody), 10)
+    one_less = logs.objects.assign(glance_held=[each[:-1] for each in logs.objects["glance_held"]])
+    with pytest.raises(LogError, match=r"trajectory .*: glance_occlusions, glance_held, glance_dirty have different"):
+        glances(Logs(logs.stages, logs.trajectories, one_less))
 
 
 def test_the_logs_of_the_cell_are_of_700_tables_of_which_some_were_cut():

@@ -169,9 +169,9 @@ def common_unit(units: Iterable[str | None]) -> str | None:
     Raises
     ------
     LogError
-        Two logs have different units.
+        Two logs have different units, or one has a unit that is no short text.
     """
-    known = list(dict.fromkeys(unit for unit in units if unit is not None))
+    known = list(dict.fromkeys(checked_unit(unit) for unit in units if unit is not None))
     if len(known) > 1:
         raise LogError(
             f"rewards are in {known[0]!r} and in {known[1]!r}; convert the logs to one unit before joining them"

@@ -48,7 +48,7 @@ def trials(logs: Logs, horizon: int) -> pd.DataFrame:
     Raises
     ------
     LogError
-        The log is not from a cell, or a fact is impossible for an object on a table.
+        The log is not from a cell, a fact is impossible for an object on a table, or an attempt's time is missing.
     """
     table = attempts(logs, horizon)
     assert logs.objects is not None, "attempts are read from logs with objects"
@@ -69,6 +69,8 @@ def trials(logs: Logs, horizon: int) -> pd.DataFrame:
     )
     at = ["trajectory", "stage"]
     table = table.merge(seen.drop(columns="object"), on=at).merge(after.drop(columns="object"), on=at, how="left")
+    unknown = table["is_finished"].to_numpy(dtype=bool) & ~(table["attempt_s"].to_numpy(dtype=np.float64) >= 0.0)
+    refuse(table, unknown, "attempt_s of the next stage lacks the attempt's time; give the log that the cell recorded")
     return table.assign(is_lying=table["is_lying"].astype(np.float64))
 
 
@@ -88,12 +90,16 @@ def glances(logs: Logs) -> pd.DataFrame:
     Raises
     ------
     LogError
-        The log is not from a cell, or has no true states.
+        The log is not from a cell, has no true states, or lists of `GLANCES` differ in length.
     """
     if logs.objects is None:
         raise LogError("the log has no objects; give one that a cell recorded")
     require_columns("objects", logs.objects, (*GLANCES, "is_dirty"))
     last = logs.objects.groupby(["trajectory", "object"], sort=True).tail(1)
+    lengths = np.array([[np.size(each) for each in last[name]] for name in GLANCES])
+    refuse(
+        last, (lengths != lengths[0]).any(axis=0), f"{', '.join(GLANCES)} have different lengths; give one of each look"
+    )
     return pd.DataFrame(last[["trajectory", "object", "is_dirty", *GLANCES]]).reset_index(drop=True)
 
 
