@@ -35,7 +35,7 @@ ALWAYS_UNPACKED, LARGEST_RATIO = 256 * 10**6, 200
 MOST_LEVELS = 64
 """Deepest nesting of lists and objects."""
 
-_HALF, _HALF_IN_BYTES = re.compile(r"\\u[dD][89a-fA-F]"), re.compile(rb"\\u[dD][89a-fA-F]|\xed[\xa0-\xbf]")
+_SURROGATE, _SURROGATE_BYTES = re.compile(r"\\u[dD][89a-fA-F]"), re.compile(rb"\\u[dD][89a-fA-F]|\xed[\xa0-\xbf]")
 _OF_PROGRAMMERS = re.compile(
     r"object has no|object of type|not (iterable|subscriptable|callable|supported between)|unhashable|NoneType|"
     r"index out of (range|bounds)|unsupported operand|broadcast|\d validation errors? for|to unpack|"
@@ -116,7 +116,7 @@ def read_text(path: Path, most_bytes: int = WORDS) -> str:
 def json_of(text: str | bytes, *, any_number: bool = False) -> Any:
     r"""Read JSON with finite numbers of at most 64 bits and each name once, nested no deeper than `MOST_LEVELS`.
 
-    With `any_number`, NaN and larger numbers are read, too, as floats. No text has half of a character, as ``\ud800``.
+    With `any_number`, NaN and larger numbers are read, too, as floats. A lone surrogate, as ``\ud800``, is refused.
 
     Raises
     ------
@@ -127,12 +127,12 @@ def json_of(text: str | bytes, *, any_number: bool = False) -> Any:
     numbers: Any = {"parse_int": _of_digits} if any_number else strict
     read = _parsed(lambda: json.loads(text, object_pairs_hook=named_once, **numbers))
     check_levels(read)
-    if _HALF.search(text) if isinstance(text, str) else _HALF_IN_BYTES.search(text):
-        _check_characters(read)
+    if _SURROGATE.search(text) if isinstance(text, str) else _SURROGATE_BYTES.search(text):
+        _refuse_surrogates(read)
     return read
 
 
-def _check_characters(read: Any) -> None:
+def _refuse_surrogates(read: Any) -> None:
     try:
         json.dumps(read, ensure_ascii=False).encode()
     except UnicodeEncodeError as error:

@@ -267,8 +267,6 @@ def model_of(given: Mapping[str, Any], kind: type[Of], *, is_text: bool = False)
         return msgspec.convert(given, kind, strict=not is_text)
     except msgspec.ValidationError as error:
         raise Refusal(422, f"{BODY}: {_trouble(given, kind, str(error))}") from error
-    except UnicodeEncodeError as error:
-        raise Refusal(422, f"{BODY}: {error.object!r:.40} is not Unicode text; decode it") from error
 
 
 def _trouble(given: Mapping[str, Any], kind: type[Struct], error: str) -> str:

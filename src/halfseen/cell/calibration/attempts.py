@@ -98,7 +98,9 @@ def glances(logs: Logs) -> pd.DataFrame:
     last = logs.objects.groupby(["trajectory", "object"], sort=True).tail(1)
     lengths = np.array([[np.size(each) for each in last[name]] for name in GLANCES])
     refuse(
-        last, (lengths != lengths[0]).any(axis=0), f"{', '.join(GLANCES)} have different lengths; give one of each look"
+        last,
+        (lengths != lengths[0]).any(axis=0),
+        f"{', '.join(GLANCES)} have different lengths; give the log that the cell recorded",
     )
     return pd.DataFrame(last[["trajectory", "object", "is_dirty", *GLANCES]]).reset_index(drop=True)
 

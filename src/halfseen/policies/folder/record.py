@@ -132,7 +132,7 @@ class Promise(Struct):
             raise ValueError(f"brings is {list(self.brings)}; the least must come first")
 
 
-class Source(Struct):
+class SourceLog(Struct):
     """A log that a policy was learned from, with its first and last trajectory."""
 
     name: str | None
@@ -146,7 +146,7 @@ class LearnedFrom(Struct):
 
     sentence: str
     sha256: str | None = None
-    sources: list[Source] = []
+    sources: list[SourceLog] = []
 
 
 class Record(Struct):
